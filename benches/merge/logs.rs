@@ -1,5 +1,5 @@
 //! Recorded logs of several robots with unknown starts, through `mr-slam replay --merge unknown`: errors of surveyed
-//! relations between robots, and of each robot's own relations alone and in the fleet.
+//! relations between robots, and of each robot's own relations alone and in the fleet. The same logs with given starts, one of them wrong.
 
 use super::noise::Noise;
 use super::relations::{Errors, Trajectory, Which, errors, parse};

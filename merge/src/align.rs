@@ -260,14 +260,18 @@ pub(crate) fn evaluate(
     if !is_usable(a) || !is_usable(b) {
         return None;
     }
-    let fields =
-        [a, b].map(|map| DistanceField::new(MapPoints::from_grid(map, COARSE_CELL_M), map, &config.walls));
+    let fields = [a, b].map(|map| DistanceField::of_map(map, &config.walls));
     let fields = [&fields[0], &fields[1]];
-    let [from_a, from_b] = fields.map(|field| field.points.frame_from_centred);
-    let matched = match_walls(fields, from_a.inverse() * a_from_b * from_b, strides(fields, FINE_POINTS));
+    let matched = match_walls_at(fields, a_from_b);
     let place = PlaceJudge::new(fields).place(matched);
     let config = without_margins(config);
     Some(judge([a, b], a_from_b, &place, Margins::default(), &config))
+}
+
+/// Matches the walls of two maps under a transform between the maps' own frames.
+fn match_walls_at(fields: [&DistanceField; 2], a_from_b: Pose2) -> WallMatch {
+    let [from_a, from_b] = fields.map(|field| field.points.frame_from_centred);
+    match_walls(fields, from_a.inverse() * a_from_b * from_b, strides(fields, FINE_POINTS))
 }
 
 /// Returns the thresholds for one place alone.
@@ -385,7 +389,7 @@ fn judge(
         objects_margin: margins.objects,
         observability: walls.observability,
     };
-    found.refusal = refusal_of(&found, walls_a_m + walls_b_m, config);
+    found.refusal = refusal_of(&found, place, walls_a_m + walls_b_m, config);
     found.accepted = found.refusal.is_none();
     found
 }

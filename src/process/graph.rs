@@ -14,8 +14,8 @@ use crate::run::Run;
 use crate::storage::{DiskStorage, Storage};
 use ::merge::FleetPoseGraph;
 use msg::{
-    EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, ROBOTS_MAX, RobotId, Role, Submap,
-    SubmapPoses, SubmapRequest,
+    EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Role, Submap, SubmapPoses,
+    SubmapRequest,
 };
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -131,7 +131,6 @@ impl<P: Ports, S: Storage> ProcessLoop for GraphWorker<P, S> {
                 );
             }
             self.graph.apply_outcome(outcome);
-            self.output.report_starts(&self.graph);
         }
         // Saved before it is published, so that a pin that a client has seen outlives this process.
         self.memory.save(&self.graph, now);
@@ -213,17 +212,6 @@ impl<P: Ports> Output<P> {
         self.answered = true;
     }
 
-    /// Logs starts that the maps contradict now.
-    fn report_starts(&self, graph: &FleetPoseGraph) {
-        let known = self.edges.contradicted;
-        let robots = RobotId::first(ROBOTS_MAX).filter(|robot| graph.is_start_contradicted(*robot));
-        for robot in robots.filter(|robot| known & (1 << robot.index()) == 0) {
-            tracing::warn!(
-                "merge: the given start of {robot} contradicts the maps and is not used; its place comes from the maps"
-            );
-        }
-    }
-
     /// Publishes edges and estimates that have changed.
     fn publish(&mut self, graph: &FleetPoseGraph, robots: usize, now: Monotonic) {
         let of_robot = |robot| (graph.map_from_robot_map(robot), graph.redrawn_map(robot).cloned());
@@ -237,6 +225,12 @@ impl<P: Ports> Output<P> {
         }
         let changed = edges.edges() != self.edges.edges() || edges.contradicted != self.edges.contradicted;
         if moved || self.answered || changed {
+            let known = |robot: &RobotId| self.edges.contradicted_starts().any(|other| other == *robot);
+            for robot in edges.contradicted_starts().filter(|robot| !known(robot)) {
+                tracing::warn!(
+                    "merge: the given start of {robot} contradicts the maps and is not used; its place comes from the maps"
+                );
+            }
             edges.header.stamp = self.epoch.stamp(now);
             self.writer.send(&edges);
             (self.edges, self.answered) = (edges, false);

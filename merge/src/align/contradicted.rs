@@ -1,9 +1,6 @@
 //! Parts of a map that another map contradicts, although the two agree elsewhere: one of them is bent.
 
-use super::distance_field::DistanceField;
-use super::points::MapPoints;
-use super::wall_match::match_walls;
-use super::{COARSE_CELL_M, FINE_POINTS, is_usable, strides};
+use super::{DistanceField, is_usable, match_walls_at, wall_points};
 use crate::config::WallConfig;
 use msg::{GridView, Pose2};
 
@@ -29,20 +26,15 @@ impl ComparedParts {
         config: &WallConfig,
     ) -> Self {
         let mut count = Self::default();
-        let field =
-            |grid: GridView<'_>| DistanceField::new(MapPoints::from_grid(grid, COARSE_CELL_M), grid, config);
         if !is_usable(map) {
             return count;
         }
-        let whole = field(map);
+        let whole = DistanceField::of_map(map, config);
         for (grid, map_from_part) in parts.filter(|(grid, _)| is_usable(*grid)) {
-            let part = field(grid);
+            let part = DistanceField::of_map(grid, config);
             let fields = [&whole, &part];
-            let [from_whole, from_part] = fields.map(|field| field.points.frame_from_centred);
-            let place = from_whole.inverse() * map_from_part * from_part;
-            let found = match_walls(fields, place, strides(fields, FINE_POINTS));
-            let wall_point_m = (whole.points.wall_point_m + part.points.wall_point_m) / 2.0;
-            if (found.matched + found.contradicted) * wall_point_m >= WALLS_MIN_M {
+            let found = match_walls_at(fields, map_from_part);
+            if found.matched + found.contradicted >= wall_points(fields, WALLS_MIN_M) {
                 count.compared += 1;
                 count.contradicted += u32::from(found.conflict() >= CONFLICT_MIN);
             }

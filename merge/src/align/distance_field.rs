@@ -1,6 +1,7 @@
 //! Distance field of one map: distance to the nearest wall, floor, and the side from which each wall was seen.
 
 use super::points::MapPoints;
+use super::translation::COARSE_CELL_M;
 use crate::config::WallConfig;
 use msg::GridView;
 use msg::grid::{Occupancy, occupancy};
@@ -45,6 +46,11 @@ pub(crate) struct DistanceField {
 }
 
 impl DistanceField {
+    /// Computes the field of a map.
+    pub fn of_map(map: GridView<'_>, config: &WallConfig) -> Self {
+        Self::new(MapPoints::from_grid(map, COARSE_CELL_M), map, config)
+    }
+
     /// Computes the field of a grid with these points.
     pub fn new(points: MapPoints, grid: GridView<'_>, config: &WallConfig) -> Self {
         let margin_m = REACH_M;

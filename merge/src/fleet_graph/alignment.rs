@@ -5,7 +5,7 @@ use super::edge::{CheckResult, Evidence};
 use super::pair::{RobotPair, robots_of_pair};
 use super::robot::Robot;
 use super::submaps::SubmapStore;
-use crate::align::{ComparedParts, align, align_near, evaluate, max_null_f1};
+use crate::align::{Alignment, ComparedParts, align, align_near, evaluate, max_null_f1};
 use crate::config::{AlignConfig, MergeConfig};
 use msg::{Grid, Pose2};
 
@@ -43,7 +43,8 @@ pub(crate) struct AlignJob {
 /// Result of an [`AlignJob`].
 #[derive(Debug)]
 pub(crate) struct MapsAligned {
-    pair: usize,
+    /// The pair of robots.
+    pub pair: usize,
     nodes: [u32; 2],
     found: Option<Evidence>,
     chance_lead_min: f64,
@@ -63,7 +64,8 @@ pub(crate) struct CheckJob {
 /// Result of a [`CheckJob`].
 #[derive(Debug)]
 pub(crate) struct MapsChecked {
-    pair: usize,
+    /// The pair of robots.
+    pub pair: usize,
     /// Nodes of both robots together.
     nodes: u32,
     found: Option<(Evidence, ComparedParts)>,
@@ -172,18 +174,23 @@ fn compose_both([a, b]: &[Vec<PlacedSubmap>; 2]) -> Option<[Grid; 2]> {
     Some([compose(a)?, compose(b)?])
 }
 
+/// Adds what chance reaches to an alignment of two maps.
+fn with_chance([a, b]: [&Grid; 2], alignment: Alignment, config: &AlignConfig) -> Evidence {
+    let null_f1_max = max_null_f1(a.view(), b.view(), alignment.a_from_b, &config.walls);
+    Evidence { alignment, null_f1_max }
+}
+
 impl AlignJob {
     /// Aligns the maps.
     pub fn run(self) -> MapsAligned {
         let found = compose_both(&self.maps).and_then(|[a, b]| {
             let alignment = align(a.view(), b.view(), &self.config)?;
             // Only an accepted alignment is compared with chance.
-            let null_f1_max = if alignment.accepted {
-                max_null_f1(a.view(), b.view(), alignment.a_from_b, &self.config.walls)
+            Some(if alignment.accepted {
+                with_chance([&a, &b], alignment, &self.config)
             } else {
-                0.0
-            };
-            Some(Evidence { alignment, null_f1_max })
+                Evidence { alignment, null_f1_max: 0.0 }
+            })
         });
         let chance_lead_min = self.config.chance_lead_min;
         MapsAligned { pair: self.pair, nodes: self.nodes, found, chance_lead_min }
@@ -196,7 +203,6 @@ impl CheckJob {
         let found = compose_both(&self.maps).and_then(|[a, b]| {
             let config = &self.config.align;
             let alignment = evaluate(a.view(), b.view(), Pose2::IDENTITY, config)?;
-            let null_f1_max = max_null_f1(a.view(), b.view(), Pose2::IDENTITY, &config.walls);
             let submaps = |map: &[PlacedSubmap], other: &Grid| {
                 let each = map.len().div_ceil(COMPARED_SUBMAPS_MAX).max(1);
                 let parts =
@@ -205,7 +211,7 @@ impl CheckJob {
             };
             let [of_a, of_b] = &self.maps;
             let compared = submaps(of_a, &b).plus(submaps(of_b, &a));
-            Some((Evidence { alignment, null_f1_max }, compared))
+            Some((with_chance([&a, &b], alignment, config), compared))
         });
         let at_starts = self.at_starts.and_then(|(maps, a_from_b)| {
             let [a, b] = compose_both(&maps)?;
@@ -214,8 +220,7 @@ impl CheckJob {
             let near = align_near(a.view(), b.view(), a_from_b, config)
                 .filter(|near| near.a_from_b.distance_m(a_from_b) <= NEAR_PLACE_M);
             let alignment = near.or_else(|| evaluate(a.view(), b.view(), a_from_b, config))?;
-            let null_f1_max = max_null_f1(a.view(), b.view(), alignment.a_from_b, &config.walls);
-            Some((a_from_b, Evidence { alignment, null_f1_max }))
+            Some((a_from_b, with_chance([&a, &b], alignment, config)))
         });
         MapsChecked { pair: self.pair, nodes: self.nodes, found, at_starts, config: self.config }
     }
@@ -231,25 +236,15 @@ impl MapsAligned {
         };
         edge.record_alignment(self.nodes, found, self.chance_lead_min, maps_are_complete)
     }
-
-    /// The pair whose maps were aligned.
-    pub fn pair(&self) -> usize {
-        self.pair
-    }
 }
 
 impl MapsChecked {
-    /// The pair whose maps were compared.
-    pub fn pair(&self) -> usize {
-        self.pair
-    }
-
     /// Records the check.
     pub fn apply(self, pairs: &mut [RobotPair]) -> CheckedPair {
         let pair = &mut pairs[self.pair];
         let mut checked = CheckedPair::default();
         if let Some((found, submaps)) = self.found {
-            pair.submaps = submaps;
+            pair.compared_submaps = submaps;
             if pair.edge.is_active() {
                 match pair.edge.record_check(found, &self.config.check) {
                     CheckResult::Confirmed => {}

@@ -17,7 +17,7 @@ pub(crate) struct RobotPair {
     /// What the two maps say of the given starts.
     pub starts: StartsOfPair,
     /// How many of their submaps the other's map contradicts, at the newest check.
-    pub submaps: ComparedParts,
+    pub compared_submaps: ComparedParts,
     /// When the two maps are compared.
     pub schedule: ComparisonSchedule,
 }
@@ -57,7 +57,7 @@ impl RobotPair {
     /// Forgets what was found where the two maps lay.
     pub fn forget_relation(&mut self) {
         self.closures.clear();
-        self.submaps = ComparedParts::default();
+        self.compared_submaps = ComparedParts::default();
     }
 
     /// Continues after the submaps of one of the two were lost.
@@ -92,8 +92,8 @@ impl RobotPair {
             tries: self.schedule.alignments,
             refusal: edge.refusal().map_or(0, |refusal| refusal as u32),
             reserved: 0,
-            compared_submaps: self.submaps.compared,
-            contradicted_submaps: self.submaps.contradicted,
+            compared_submaps: self.compared_submaps.compared,
+            contradicted_submaps: self.compared_submaps.contradicted,
             residual_m: found.map_or(0.0, |found| found.residual_m),
             closure_residual_m: closures.residual_m(),
             overlap_m2: found.map_or(0.0, |found| found.overlap_m2),

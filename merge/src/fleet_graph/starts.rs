@@ -9,7 +9,6 @@ use super::alignment::{MapsAligned, MapsChecked};
 use super::edge::{Evidence, SAME_ALIGNMENT_M, SAME_ALIGNMENT_RAD};
 use super::pair::{RobotPair, robots_of_pair};
 use crate::config::{ClosureConfig, MergeConfig};
-use core::cmp::Ordering;
 use msg::{Pose2, RobotId, pose::wrap_angle};
 
 /// Score of walls up to which the maps contradict their starts, metres: contradicted walls count 2.7 times, matching ones once, so that
@@ -110,7 +109,7 @@ impl FleetPoseGraph {
 
     /// Applies an alignment of two whole maps.
     pub(crate) fn apply_alignment(&mut self, maps: MapsAligned) {
-        let pair = maps.pair();
+        let pair = maps.pair;
         if !maps.apply(&mut self.pairs, self.maps_are_complete) {
             return;
         }
@@ -123,7 +122,7 @@ impl FleetPoseGraph {
 
     /// Applies a comparison of two whole maps where the graph has them.
     pub(crate) fn apply_check(&mut self, maps: MapsChecked) {
-        let pair = maps.pair();
+        let pair = maps.pair;
         let checked = maps.apply(&mut self.pairs);
         if checked.starts_are_contradicted {
             self.withdraw_worse_start(pair);
@@ -167,5 +166,5 @@ pub(crate) fn worse_start(pair: usize, pairs: &[RobotPair]) -> usize {
         });
         each.sum()
     };
-    if contradictions(a).cmp(&contradictions(b)) == Ordering::Greater { a } else { b }
+    if contradictions(a) > contradictions(b) { a } else { b }
 }
