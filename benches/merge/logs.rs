@@ -210,7 +210,7 @@ fn merged(
 }
 
 /// Replays the logs of a fleet, with these starts as `--merge` takes them. Returns the summary, the trajectories, and the errors of
-/// relations between the robots.
+/// relations between the robots: no number where no relation is known.
 fn fleet(
     starts: &str,
     cut: bool,
@@ -229,7 +229,10 @@ fn fleet(
     let all = Trajectory::parse(&together.concat())?;
     // Odometry between kept scans is the same in any frame.
     let odometry = if odometry.is_file() { Some(Trajectory::parse(&unpacked(odometry)?)?) } else { None };
-    let found = errors(&all, odometry.as_ref(), &relations, Which::All);
+    let mut found = errors(&all, odometry.as_ref(), &relations, Which::All);
+    if found.count == 0 {
+        found.mean_m = f64::NAN;
+    }
     Ok((summary, together, found))
 }
 
