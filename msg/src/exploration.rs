@@ -139,6 +139,8 @@ pub enum LeftoverReason {
     Unreachable = 3,
     /// What is expected behind it is not worth a look.
     TooSmall = 4,
+    /// Robots drove for a long time and showed nothing more, there or elsewhere.
+    TookTooLong = 5,
 }
 
 impl core::fmt::Display for LeftoverReason {
@@ -148,6 +150,7 @@ impl core::fmt::Display for LeftoverReason {
             Self::TooNarrow => "too narrow for a robot",
             Self::Unreachable => "cut off from all robots",
             Self::TooSmall => "too small to be worth a look",
+            Self::TookTooLong => "not seen although robots drove for a long time",
         })
     }
 }
@@ -171,8 +174,8 @@ pub struct ExplorationLeftover {
 impl ExplorationLeftover {
     /// Returns why it is left; `None` for an unknown code.
     pub fn reason(&self) -> Option<LeftoverReason> {
-        use LeftoverReason::{NotVisible, TooNarrow, TooSmall, Unreachable};
-        let all = [NotVisible, TooNarrow, Unreachable, TooSmall];
+        use LeftoverReason::{NotVisible, TooNarrow, TooSmall, TookTooLong, Unreachable};
+        let all = [NotVisible, TooNarrow, Unreachable, TooSmall, TookTooLong];
         all.into_iter().find(|reason| *reason as u32 == self.reason)
     }
 }

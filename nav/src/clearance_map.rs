@@ -183,25 +183,22 @@ impl ClearanceMap {
         let start_m = |occupancy: &Occupancy| if *occupancy == Occupancy::Occupied { 0.0 } else { far_m };
         self.clearance_m.clear();
         self.clearance_m.extend(self.occupancy.iter().map(start_m));
-        let inner_cells =
-            |w: i64, h: i64| (1..h - 1).flat_map(move |y| (1..w - 1).map(move |x| (y * w + x) as usize));
-        for cell in inner_cells(self.width, self.height) {
-            self.relax(cell, [4, 5, 6, 7]);
+        let (width, height) = (self.width as usize, self.height as usize);
+        if width < 3 || height < 3 {
+            return;
         }
-        for cell in inner_cells(self.width, self.height).rev() {
-            self.relax(cell, [0, 1, 2, 3]);
+        let step_m = self.cell_size_m as f32;
+        for row in 1..height - 1 {
+            let (before, row_m) = self.clearance_m.split_at_mut(row * width);
+            relax_from_row(&mut row_m[..width], &before[(row - 1) * width..], step_m);
+            relax_along(row_m[..width - 1].iter_mut(), step_m);
         }
-    }
-
-    fn relax(&mut self, cell: usize, directions: [usize; 4]) {
-        let mut nearest_m = self.clearance_m[cell];
-        for direction in directions {
-            let (dx, dy) = NEIGHBOURS[direction];
-            let step = if direction % 2 == 0 { 1.0 } else { core::f32::consts::SQRT_2 };
-            let neighbour = (cell as i64 + dy * self.width + dx) as usize;
-            nearest_m = nearest_m.min(self.clearance_m[neighbour] + step * self.cell_size_m as f32);
+        for row in (1..height - 1).rev() {
+            let (before, after) = self.clearance_m.split_at_mut((row + 1) * width);
+            let row_m = &mut before[row * width..];
+            relax_from_row(row_m, &after[..width], step_m);
+            relax_along(row_m[1..].iter_mut().rev(), step_m);
         }
-        self.clearance_m[cell] = nearest_m;
     }
 
     /// Distance from the centre of a cell to that of the nearest occupied one, metres.
@@ -235,6 +232,24 @@ impl ClearanceMap {
 
     fn index(&self, x: i64, y: i64) -> usize {
         (y * self.width + x) as usize
+    }
+}
+
+/// Shortens the distances of the inner cells of a row to what its neighbours in another row allow.
+fn relax_from_row(row_m: &mut [f32], other_m: &[f32], step_m: f32) {
+    let diagonal_m = core::f32::consts::SQRT_2 * step_m;
+    for (nearest_m, beside_m) in row_m[1..].iter_mut().zip(other_m.windows(3)) {
+        let diagonal = beside_m[0].min(beside_m[2]) + diagonal_m;
+        *nearest_m = nearest_m.min(beside_m[1] + step_m).min(diagonal);
+    }
+}
+
+/// Shortens distances to what the cell before each allows.
+fn relax_along<'a>(mut cells_m: impl Iterator<Item = &'a mut f32>, step_m: f32) {
+    let Some(mut before_m) = cells_m.next().map(|first_m| *first_m) else { return };
+    for nearest_m in cells_m {
+        before_m = nearest_m.min(before_m + step_m);
+        *nearest_m = before_m;
     }
 }
 

@@ -12,7 +12,7 @@ pub fn line(outcome: &Outcome) -> String {
     let [t90, t95, t99] = outcome.times_s.map(time);
     let mut line = format!(
         "{:<10}{:>3} {:?} {:<12} seed {:>3}: T90 {t90:>5} T95 {t95:>5} T99 {t99:>5} s, {:.2} % after {:.0} s ({}), {:.0} m, \
-         {} contacts, {:.2} m apart, {} plans, {:.1}+{:.1} ms/s, longest {:.0} ms",
+         {} contacts, {:.2} m apart, stood {:.0} s, {} plans, {:.1}+{:.1} ms/s, longest {:.0} ms",
         case.room.name(),
         case.robots,
         case.starts,
@@ -24,6 +24,7 @@ pub fn line(outcome: &Outcome) -> String {
         outcome.travelled_m,
         outcome.contacts,
         outcome.separation_m,
+        outcome.stood_s,
         outcome.plans,
         outcome.choose_ms,
         outcome.drive_ms,
@@ -46,6 +47,8 @@ struct Summary {
     travelled_m: f64,
     overlap: f64,
     contacts: u64,
+    /// Longest time in which no robot left its place, of all runs, seconds.
+    stood_s: f64,
     cpu_ms: f64,
     plans: f64,
 }
@@ -69,6 +72,7 @@ fn summarize<'a>(outcomes: impl Iterator<Item = &'a Outcome>) -> Option<Summary>
         travelled_m: mean(&|o| o.travelled_m),
         overlap: mean(&|o| o.overlap),
         contacts: outcomes.iter().map(|o| o.contacts).sum(),
+        stood_s: outcomes.iter().map(|o| o.stood_s).fold(0.0, f64::max),
         cpu_ms: mean(&|o| o.choose_ms + o.drive_ms),
         plans: mean(&|o| f64::from(o.plans)),
     })
@@ -84,7 +88,7 @@ pub fn print(outcomes: &[Outcome]) {
         }
     }
     println!(
-        "{:<10}{:>6} {:<5}{:<12}{:>5}{:>12}{:>12}{:>12}{:>6}{:>8}{:>8}{:>9}{:>7}{:>8}",
+        "{:<10}{:>6} {:<5}{:<12}{:>5}{:>12}{:>12}{:>12}{:>6}{:>8}{:>8}{:>9}{:>8}{:>7}{:>8}",
         "world",
         "robots",
         "start",
@@ -97,6 +101,7 @@ pub fn print(outcomes: &[Outcome]) {
         "travel",
         "overlap",
         "contacts",
+        "stood s",
         "plans",
         "ms/s"
     );
@@ -121,7 +126,7 @@ fn print_row<'a>(
     let summary = summarize(outcomes)?;
     let [t90, t95, t99] = summary.times_s.map(|(mean, deviation)| format!("{mean:.0}±{deviation:.0}"));
     println!(
-        "{world:<10}{robots:>6} {:<5}{:<12}{:>5}{t90:>12}{t95:>12}{t99:>12}{:>6}{:>8.0}{:>8.2}{:>9}{:>7.0}{:>8.1}",
+        "{world:<10}{robots:>6} {:<5}{:<12}{:>5}{t90:>12}{t95:>12}{t99:>12}{:>6}{:>8.0}{:>8.2}{:>9}{:>8.0}{:>7.0}{:>8.1}",
         format!("{starts:?}").to_lowercase(),
         kind.name(),
         summary.runs,
@@ -129,6 +134,7 @@ fn print_row<'a>(
         summary.travelled_m,
         summary.overlap,
         summary.contacts,
+        summary.stood_s,
         summary.plans,
         summary.cpu_ms,
     );
@@ -193,7 +199,8 @@ pub fn json(outcomes: &[Outcome]) -> String {
             "starts": format!("{:?}", o.case.starts).to_lowercase(), "method": o.case.method.name(),
             "t90_s": o.times_s[0], "t95_s": o.times_s[1], "t99_s": o.times_s[2], "end_s": o.end_s,
             "coverage": o.coverage, "travelled_m": o.travelled_m, "overlap": o.overlap, "contacts": o.contacts,
-            "separation_m": o.separation_m.is_finite().then_some(o.separation_m), "plans": o.plans,
+            "separation_m": o.separation_m.is_finite().then_some(o.separation_m), "stood_s": o.stood_s,
+            "plans": o.plans,
             "path_plans": o.path_plans, "choose_ms_per_robot_s": o.choose_ms, "drive_ms_per_robot_s": o.drive_ms,
             "longest_choice_ms": o.longest_choice_ms, "stopped_by": o.stopped_by, "leftovers": o.leftovers,
         })

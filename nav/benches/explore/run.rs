@@ -5,6 +5,7 @@ use crate::driver::{Driver, Other, Scene, Task};
 use crate::methods::{Coordinated, Greedy, Kind, Method};
 use crate::world::{Robot, Starts, World};
 use nav::coordination::{CoordinationPhase, GoalProgress};
+use nav::geometry::distance_m;
 use nav::{
     CoordinationConfig, DriveCommand, ExplorationTour, FleetExploration, FleetNavigator, FleetObservation,
     NavigatedRobot, NavigationInput, NavigatorConfig, RobotObservation, TourConfig, Twist,
@@ -18,6 +19,9 @@ pub const SHARES: [f64; 3] = [0.90, 0.95, 0.99];
 const STEPS_PER_SECOND: usize = 20;
 /// Time between two points of the curve of coverage, seconds.
 pub const CURVE_PERIOD_S: usize = 5;
+
+/// Distance from a place from which a robot has left it, metres: more than it moves while it looks around or evades.
+const LEFT_PLACE_M: f64 = 0.5;
 
 /// What is run.
 #[derive(Clone, Copy, Debug)]
@@ -46,6 +50,8 @@ pub struct Outcome {
     pub overlap: f64,
     pub contacts: u64,
     pub separation_m: f64,
+    /// Longest time in which no robot left the place where it was, seconds.
+    pub stood_s: f64,
     pub plans: u32,
     pub path_plans: u32,
     /// Time of computation per robot and simulated second, of choosing and of driving, milliseconds.
@@ -69,6 +75,7 @@ impl Outcome {
             overlap: 0.0,
             contacts: 0,
             separation_m: 0.0,
+            stood_s: 0.0,
             plans: 0,
             path_plans: 0,
             choose_ms: 0.0,
@@ -92,6 +99,7 @@ pub fn run(case: Case) -> Result<(Outcome, World), String> {
     };
     let mut outcome = Outcome::new(case);
     let mut twists = vec![Twist::STOP; case.robots];
+    let mut standstill = Standstill::new(&world);
     for step in 0..case.limit_s * STEPS_PER_SECOND {
         world.step(&twists);
         if step % STEPS_PER_SECOND == 0 {
@@ -108,6 +116,7 @@ pub fn run(case: Case) -> Result<(Outcome, World), String> {
             }
             outcome.coverage = coverage;
             outcome.end_s = seconds as f64;
+            outcome.stood_s = outcome.stood_s.max(standstill.update_s(&world, seconds as f64));
             if coverage >= case.enough {
                 outcome.stopped_by = "enough seen";
                 break;
@@ -128,6 +137,32 @@ pub fn run(case: Case) -> Result<(Outcome, World), String> {
     outcome.choose_ms /= robot_seconds;
     outcome.drive_ms /= robot_seconds;
     Ok((outcome, world))
+}
+
+/// How long no robot of a fleet has left its place.
+struct Standstill {
+    places_m: Vec<[f64; 2]>,
+    since_s: f64,
+}
+
+impl Standstill {
+    fn new(world: &World) -> Self {
+        Self { places_m: Self::places_m(world), since_s: 0.0 }
+    }
+
+    fn places_m(world: &World) -> Vec<[f64; 2]> {
+        world.robots.iter().map(|robot| [robot.pose().x_m, robot.pose().y_m]).collect()
+    }
+
+    /// Looks where the robots are, and returns how long none has left its place, seconds.
+    fn update_s(&mut self, world: &World, now_s: f64) -> f64 {
+        let now_m = Self::places_m(world);
+        let has_left = |(was, is): (&[f64; 2], &[f64; 2])| distance_m(*was, *is) > LEFT_PLACE_M;
+        if self.places_m.iter().zip(&now_m).any(has_left) {
+            (self.places_m, self.since_s) = (now_m, now_s);
+        }
+        now_s - self.since_s
+    }
 }
 
 /// Drives a whole fleet.

@@ -1,5 +1,6 @@
 //! Unknown space beside known free space that the fleet leaves, and why.
 
+use super::growth::{Exhaustion, KnownArea};
 use super::plan::PlanBuffers;
 use super::seen::UnseenCells;
 use crate::clearance_map::ClearanceMap;
@@ -30,7 +31,7 @@ pub struct Leftover {
 pub(super) fn find(
     map: &ClearanceMap,
     buffers: &PlanBuffers,
-    unseen: &UnseenCells,
+    (unseen, known_area): (&UnseenCells, &KnownArea),
     clearance_min_m: f64,
 ) -> Vec<Leftover> {
     let mut is_open: Vec<bool> = (0..map.cell_count())
@@ -71,10 +72,12 @@ pub(super) fn find(
             LeftoverReason::Unreachable
         } else if !cells.iter().any(leads_to_floor) {
             LeftoverReason::TooNarrow
-        } else if unseen.is_exhausted() {
-            LeftoverReason::NotVisible
         } else {
-            LeftoverReason::TooSmall
+            match known_area.exhaustion() {
+                Some(Exhaustion::Attempts) => LeftoverReason::NotVisible,
+                Some(Exhaustion::Time) => LeftoverReason::TookTooLong,
+                None => LeftoverReason::TooSmall,
+            }
         };
         let length_m = cells.len() as f64 * map.cell_size_m();
         let unknown = cells.iter().find_map(|cell| unknown_beside(map, *cell));

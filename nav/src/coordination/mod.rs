@@ -10,12 +10,14 @@
 //! own. What a robot sees on its way counts: a viewpoint that shows nothing new any more is dropped at the next plan.
 //! The baseline to beat is the coordination of Burgard, Moors, Stachniss and Schneider (2005).
 
+mod assign;
 mod coarse;
 mod config;
 mod excluded;
 mod failed;
 mod fleet_exploration;
 mod floor;
+mod growth;
 mod leftovers;
 mod plan;
 mod seen;
@@ -40,6 +42,7 @@ use crate::geometry::distance_m;
 use crate::observation::ScanView;
 use core::time::Duration;
 use failed::FailedGoals;
+use growth::KnownArea;
 use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp};
 use plan::{AT_GOAL_M, PlanBuffers};
 use seen::UnseenCells;
@@ -49,6 +52,10 @@ use views::Directions;
 const LOOK_MAX_S: f64 = 12.0;
 /// Shortest look around that counts as an attempt if the robot leaves, seconds: less is driving past.
 const LOOK_MIN_S: f64 = 2.0;
+/// Time without leaving its place after which a robot gives up the goal that it has just then, seconds. Navigation gives up
+/// earlier, but a goal that changes all the time never gets that old. And the distance from a place at which it is left, metres.
+const STAND_MAX_S: f64 = 90.0;
+const LEFT_PLACE_M: f64 = 0.5;
 /// Looks of a robot from one place in a row of which each is judged by where the robot pointed.
 const LOOKS_MAX: u32 = 3;
 
@@ -85,9 +92,9 @@ pub struct FleetCoordinator {
     map: ClearanceMap,
     buffers: PlanBuffers,
     unseen: UnseenCells,
+    known_area: KnownArea,
     goals: [Option<RobotGoal>; ROBOTS_MAX],
-    records: [RobotRecord; ROBOTS_MAX],
-    failed: Vec<FailedGoals>,
+    records: Vec<RobotRecord>,
     phase: CoordinationPhase,
     planned_at: Option<Stamp>,
     plans: u32,
@@ -104,7 +111,7 @@ struct Look {
 }
 
 /// What is remembered of a robot.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct RobotRecord {
     /// Where it returns to in the end.
     home: Option<Pose2>,
@@ -114,6 +121,10 @@ struct RobotRecord {
     look: Option<Look>,
     /// Where it looked last, and how often in a row.
     looked: ([f64; 2], u32),
+    /// Places that it gave up to drive to.
+    failed: FailedGoals,
+    /// Where it has been since when, while its goal is elsewhere.
+    stand: Option<([f64; 2], Stamp)>,
 }
 
 impl FleetCoordinator {
@@ -125,9 +136,9 @@ impl FleetCoordinator {
             map: ClearanceMap::default(),
             buffers: PlanBuffers::default(),
             unseen: UnseenCells::default(),
+            known_area: KnownArea::default(),
             goals: [const { None }; ROBOTS_MAX],
-            records: [RobotRecord::default(); ROBOTS_MAX],
-            failed: vec![FailedGoals::default(); ROBOTS_MAX],
+            records: vec![RobotRecord::default(); ROBOTS_MAX],
             phase: CoordinationPhase::Exploring,
             planned_at: None,
             plans: 0,
@@ -183,7 +194,7 @@ impl FleetCoordinator {
     ///
     /// Refers to the map of the last plan.
     pub fn leftovers(&self) -> Vec<Leftover> {
-        leftovers::find(&self.map, &self.buffers, &self.unseen, self.clearance_min_m())
+        leftovers::find(&self.map, &self.buffers, (&self.unseen, &self.known_area), self.clearance_min_m())
     }
 
     /// Whether the last plan was made on the whole map, and not on the part around the robots.
@@ -204,17 +215,23 @@ impl FleetCoordinator {
             let home = &mut self.records[index].home;
             *home = robot.home.or(*home).or(pose);
             if robot.availability != RobotAvailability::Free {
-                (self.goals[index], self.records[index].look) = (None, None);
+                self.goals[index] = None;
+                (self.records[index].look, self.records[index].stand) = (None, None);
                 continue;
             }
-            if !robot.progress.has_ended() {
+            let progress = if self.stands_too_long(input.stamp, index, pose) {
+                GoalProgress::Failed
+            } else {
+                robot.progress
+            };
+            if !progress.has_ended() {
                 self.record_look(input, index, pose);
                 continue;
             }
             let look = self.records[index].look.take();
             let Some(goal) = self.goals[index].take() else { continue };
-            let failures = match robot.progress {
-                GoalProgress::Failed => self.failed[index].record(input.stamp, goal.position_m),
+            let failures = match progress {
+                GoalProgress::Failed => self.records[index].failed.record(input.stamp, goal.position_m),
                 _ => 0,
             };
             // What a robot gave up once, others may reach.
@@ -227,6 +244,25 @@ impl FleetCoordinator {
                 self.records[index].has_returned = true;
             }
         }
+    }
+
+    /// Whether a robot has not left its place for long although its goals to explore are elsewhere. Begins anew then.
+    fn stands_too_long(&mut self, now: Stamp, index: usize, pose: Option<Pose2>) -> bool {
+        let goal = self.goals[index].as_ref().filter(|goal| goal.purpose == GoalPurpose::Explore);
+        let stand = &mut self.records[index].stand;
+        let Some((goal, pose)) = goal.zip(pose) else {
+            *stand = None;
+            return false;
+        };
+        let here_m = [pose.x_m, pose.y_m];
+        let is_there = distance_m(here_m, goal.position_m) < AT_GOAL_M;
+        let kept = stand.filter(|(place_m, _)| !is_there && distance_m(here_m, *place_m) < LEFT_PLACE_M);
+        let (_, since) = *stand.insert(kept.unwrap_or((here_m, now)));
+        let is_long = now - since > STAND_MAX_S;
+        if is_long {
+            *stand = None;
+        }
+        is_long
     }
 
     /// Counts a look around as an attempt when it takes long or the robot leaves: new plans may turn it again and again.
@@ -282,7 +318,7 @@ impl FleetCoordinator {
     fn record_attempt(&mut self, input: &CoordinationInput, place_m: [f64; 2], looked: Option<Directions>) {
         // Who was not there has shown nothing of the map.
         if looked.is_some() {
-            self.unseen.record_yield(input.map.known_m2());
+            self.known_area.record_attempt(input.stamp, input.map.known_m2());
         }
         self.update_map(input);
         let Some(cell) = self.map.cell_at(place_m) else { return };

@@ -3,36 +3,25 @@
 use super::coarse::{CoarseMap, UNREACHED};
 use super::excluded::is_excluded;
 use super::floor::Floor;
-use super::tours::TourProblem;
 use super::types::{
     CoordinationInput, CoordinationPhase, GoalPurpose, RobotAvailability, RobotGoal, TimeEstimate,
 };
 use super::views::{Viewpoint, ViewpointSearch};
 use super::{FleetCoordinator, RobotRecord};
 use crate::geometry::distance_m;
-use core::f64::consts::{FRAC_PI_2, PI};
+use msg::ROBOTS_MAX;
 use msg::grid::Occupancy;
-use msg::pose::wrap_angle;
-use msg::{Pose2, ROBOTS_MAX};
 
 /// Space around a robot's body that is taken as free where it stands, whatever the map says, metres.
 const OWN_SPACE_M: f64 = 0.095;
 /// Space around the body of a robot that does not get goals which is marked as occupied, metres.
 const STANDING_SPACE_M: f64 = 0.055;
-/// Mean speed along a route, and mean turning speed, as shares of the follower's limits: curves, stops, ramps.
-const SPEED_SHARE: f64 = 0.9;
-/// Time to begin to move and to stop, seconds.
-const STOP_S: f64 = 0.7;
-/// Distance within which a viewpoint is the current goal of a robot, metres: the lattice moves with the map.
-const SAME_GOAL_M: f64 = 0.5;
 /// Distance within which a robot is at its goal, metres.
 pub(super) const AT_GOAL_M: f64 = 0.25;
 /// Distances from the viewpoint of another robot within which a robot without one waits, metres.
 const FOLLOW_M: [f64; 2] = [1.0, 2.5];
 /// Smallest area for which a second robot follows, square metres: about what a door may lead to.
 const FOLLOW_GAIN_MIN_M2: f64 = 1.5;
-/// Factor of the most by the least time expected, for a fleet that has just begun.
-const ESTIMATE_FACTOR: f64 = 3.0;
 
 /// Buffers of a plan, kept for the next one.
 #[derive(Clone, Debug, Default)]
@@ -43,9 +32,11 @@ pub(super) struct PlanBuffers {
     /// Route costs of each robot that gets goals, by square; in the order of [`PlanBuffers::robots`].
     pub(super) robot_costs: Vec<Vec<u32>>,
     /// Indices of robots in the input.
-    robots: Vec<usize>,
-    viewpoints: Vec<Viewpoint>,
-    costs: Vec<u32>,
+    pub(super) robots: Vec<usize>,
+    pub(super) viewpoints: Vec<Viewpoint>,
+    /// Places of each robot's tour of the last plan, in the map, metres; in the order of the robots' numbers.
+    pub(super) tours_m: Vec<Vec<[f64; 2]>>,
+    pub(super) costs: Vec<u32>,
     /// Cells that were looked at in vain.
     given_up: Vec<bool>,
 }
@@ -90,15 +81,16 @@ impl FleetCoordinator {
     pub(super) fn plan(&mut self, input: &CoordinationInput) {
         self.update_map(input);
         self.search_robot_routes(input);
-        self.unseen.record_growth(input.map.known_m2());
+        self.known_area.record(input.stamp, input.map.known_m2());
         // Without a robot that can drive, nobody knows what is reachable: persons may give theirs back.
         if self.buffers.robots.is_empty() {
+            self.known_area.record_no_robot(input.stamp);
             return;
         }
         // A map that is merged late, or a robot that is given back, may open what was unreachable.
         let is_exploring = self.phase == CoordinationPhase::Exploring;
         self.find_viewpoints(input, is_exploring);
-        if !self.buffers.viewpoints.is_empty() && !self.unseen.is_exhausted() {
+        if !self.buffers.viewpoints.is_empty() && self.known_area.exhaustion().is_none() {
             self.phase = CoordinationPhase::Exploring;
             return self.assign(input);
         }
@@ -172,127 +164,8 @@ impl FleetCoordinator {
         (buffers.views, buffers.viewpoints, buffers.given_up) = (views, found, given_up);
     }
 
-    /// Assigns viewpoints to robots as tours, and sets the robots' goals to the first of each.
-    fn assign(&mut self, input: &CoordinationInput) {
-        let problem = self.tour_problem(input);
-        let tours = problem.solve();
-        let mut assigned = vec![0_u32; self.buffers.viewpoints.len()];
-        let mut latest_s: f64 = 0.0;
-        let mut idle = Vec::new();
-        for (slot, tour) in tours.iter().enumerate() {
-            let robot = input.robots[self.buffers.robots[slot]];
-            self.records[robot.robot.index()].has_returned = false;
-            let Some(first) = tour.first() else {
-                idle.push(slot);
-                continue;
-            };
-            assigned[*first] += 1;
-            latest_s = latest_s.max(problem.duration_s(slot, tour));
-            let viewpoint = self.buffers.viewpoints[*first];
-            let expected_s = problem.from_robot_s[slot][*first] + problem.service_s[*first];
-            let pose = robot.map_from_base.unwrap_or_default();
-            self.goals[robot.robot.index()] = Some(self.goal_at(&viewpoint, pose, expected_s));
-        }
-        let factor = 1.0 + (ESTIMATE_FACTOR - 1.0) / (1.0 + latest_s / 600.0);
-        self.estimate = Some(TimeEstimate { least_s: latest_s, most_s: latest_s * factor });
-        for slot in idle {
-            self.follow(input, slot, &mut assigned);
-        }
-    }
-
-    fn tour_problem(&mut self, input: &CoordinationInput) -> TourProblem {
-        let config = self.config;
-        let (speed_m_s, turn_rad_s) = self.speeds();
-        let Self { map, buffers, goals, failed, .. } = self;
-        let count = buffers.viewpoints.len();
-        let mut problem =
-            TourProblem { makespan_weight: config.makespan_weight_m2, ..TourProblem::default() };
-        let squares: Vec<Option<usize>> = buffers
-            .viewpoints
-            .iter()
-            .map(|viewpoint| buffers.coarse.nearest_passable(buffers.coarse.square_of(viewpoint.cell)))
-            .collect();
-        for (slot, index) in buffers.robots.iter().enumerate() {
-            let robot = &input.robots[*index];
-            let pose = robot.map_from_base.unwrap_or_default();
-            let goal_m = goals[robot.robot.index()].as_ref().map(|goal| goal.position_m);
-            let time_s = |i: usize| {
-                let square = squares[i]?;
-                let length_m = buffers.coarse.length_m(buffers.robot_costs[slot][square])?;
-                let viewpoint = &buffers.viewpoints[i];
-                let at_m = map.cell_centre_m(viewpoint.cell);
-                if failed[robot.robot.index()].is_avoided(input.stamp, at_m) {
-                    return None;
-                }
-                let switch_s = match goal_m {
-                    Some(goal_m) if distance_m(goal_m, at_m) > SAME_GOAL_M => config.switch_cost_s,
-                    _ => 0.0,
-                };
-                let turn_rad = first_turn_rad(pose, at_m, viewpoint, config.sees_all_around());
-                let is_here = distance_m([pose.x_m, pose.y_m], at_m) < AT_GOAL_M;
-                let length_m = if is_here { 0.0 } else { length_m };
-                Some(length_m / speed_m_s + turn_rad / turn_rad_s + switch_s)
-            };
-            problem.from_robot_s.push((0..count).map(|i| time_s(i).unwrap_or(f64::INFINITY)).collect());
-        }
-        let mut costs = core::mem::take(&mut buffers.costs);
-        for from in &squares {
-            let mut row = vec![f64::INFINITY; count];
-            if let Some(from) = from {
-                buffers.coarse.search_from(*from, &mut costs);
-                for (time_s, to) in row.iter_mut().zip(&squares) {
-                    let length_m = to.and_then(|to| buffers.coarse.length_m(costs[to]));
-                    // Half a turn of a right angle before and after, in the mean.
-                    *time_s =
-                        length_m.map_or(f64::INFINITY, |m| m / speed_m_s + FRAC_PI_2 / turn_rad_s + STOP_S);
-                }
-            }
-            problem.between_s.push(row);
-        }
-        buffers.costs = costs;
-        problem.service_s = buffers.viewpoints.iter().map(|v| v.sweep_rad / turn_rad_s).collect();
-        problem.weight = buffers.viewpoints.iter().map(|v| v.gain_m2 + config.pocket_m2).collect();
-        problem
-    }
-
-    /// Mean speeds expected, m/s and rad/s.
-    fn speeds(&self) -> (f64, f64) {
-        (self.follower.cruise_m_s * SPEED_SHARE, self.follower.turn_rad_s * SPEED_SHARE)
-    }
-
-    fn goal_at(&self, viewpoint: &Viewpoint, pose: Pose2, expected_s: f64) -> RobotGoal {
-        let position_m = self.map.cell_centre_m(viewpoint.cell);
-        let is_here = distance_m([pose.x_m, pose.y_m], position_m) < AT_GOAL_M;
-        let arrival_rad = if is_here {
-            pose.yaw_rad
-        } else {
-            crate::geometry::bearing_rad([pose.x_m, pose.y_m], position_m)
-        };
-        let grid_rad = self.map.yaw_rad();
-        let (first, last) =
-            (grid_rad + viewpoint.look_rad, grid_rad + viewpoint.look_rad + viewpoint.sweep_rad);
-        let is_nearer = wrap_angle(first - arrival_rad).abs() <= wrap_angle(last - arrival_rad).abs();
-        let (first, last) = if is_nearer { (first, last) } else { (last, first) };
-        let steps = ((last - first).abs() / FRAC_PI_2).ceil().max(1.0) as usize;
-        let heading = |i: usize| wrap_angle(first + (last - first) * i as f64 / steps as f64);
-        let headings_rad = if self.config.sees_all_around() {
-            Vec::new()
-        } else if (last - first).abs() < 1e-3 {
-            vec![wrap_angle(first)]
-        } else {
-            (0..=steps).map(heading).collect()
-        };
-        RobotGoal {
-            purpose: GoalPurpose::Explore,
-            position_m,
-            headings_rad,
-            expected_s,
-            gain_m2: viewpoint.gain_m2,
-        }
-    }
-
     /// Lets a robot without a viewpoint wait near the one that promises most for each robot there.
-    fn follow(&mut self, input: &CoordinationInput, slot: usize, assigned: &mut [u32]) {
+    pub(super) fn follow(&mut self, input: &CoordinationInput, slot: usize, assigned: &mut [u32]) {
         let robot = input.robots[self.buffers.robots[slot]];
         let index = robot.robot.index();
         let pose = robot.map_from_base.unwrap_or_default();
@@ -328,7 +201,7 @@ impl FleetCoordinator {
                 self.map.clearance_m(*cell) >= clearance_min_m && is_near(self.map.cell_centre_m(*cell))
             })
             .filter(|cell| self.map.occupancy(*cell) == Occupancy::Free && cost(cell) != UNREACHED)
-            .filter(|cell| !self.failed[index].is_avoided(input.stamp, self.map.cell_centre_m(*cell)))
+            .filter(|cell| !self.records[index].failed.is_avoided(input.stamp, self.map.cell_centre_m(*cell)))
             .min_by_key(|cell| (cost(cell), *cell));
         self.goals[index] = place.map(|cell| RobotGoal {
             purpose: GoalPurpose::Follow,
@@ -344,7 +217,7 @@ impl FleetCoordinator {
         let mut is_anyone_away = false;
         for robot in input.robots.iter().filter(|robot| robot.availability == RobotAvailability::Free) {
             let index = robot.robot.index();
-            let RobotRecord { home, has_returned, .. } = self.records[index];
+            let &RobotRecord { home, has_returned, .. } = &self.records[index];
             let Some(home) = home.filter(|_| !has_returned) else { continue };
             is_anyone_away = true;
             self.goals[index].get_or_insert(RobotGoal {
@@ -360,21 +233,4 @@ impl FleetCoordinator {
             self.goals = [const { None }; ROBOTS_MAX];
         }
     }
-}
-
-/// Angle that a robot turns before and after it drives straight to a viewpoint, radians.
-fn first_turn_rad(pose: Pose2, at_m: [f64; 2], viewpoint: &Viewpoint, sees_all_around: bool) -> f64 {
-    let here_m = [pose.x_m, pose.y_m];
-    let end_rad = viewpoint.look_rad + viewpoint.sweep_rad;
-    let to_look = |from_rad: f64| {
-        if sees_all_around {
-            return 0.0;
-        }
-        wrap_angle(viewpoint.look_rad - from_rad).abs().min(wrap_angle(end_rad - from_rad).abs())
-    };
-    if distance_m(here_m, at_m) < AT_GOAL_M {
-        return to_look(pose.yaw_rad);
-    }
-    let way_rad = crate::geometry::bearing_rad(here_m, at_m);
-    (wrap_angle(way_rad - pose.yaw_rad).abs() + to_look(way_rad)).min(2.0 * PI)
 }

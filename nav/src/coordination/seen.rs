@@ -7,12 +7,6 @@ use std::collections::HashMap;
 const SQUARE_M: f64 = 0.1;
 /// Attempts after which a square is left alone.
 const ATTEMPTS_MAX: u8 = 2;
-/// Growth of the known area that attempts have to bring, square metres: less is the noise of a map of SLAM.
-const YIELD_MIN_M2: f64 = 0.1;
-/// Loss of known area from which the map is another one, square metres: corrections of SLAM take less.
-const SHRUNK_MIN_M2: f64 = 1.0;
-/// Attempts without that in a row after which exploration ends. Errors of SLAM open small gaps in walls again and again.
-const VAIN_ATTEMPTS_MAX: u32 = 12;
 /// Most squares that are remembered: 1000 square metres. More are not added.
 const SQUARES_MAX: usize = 100_000;
 
@@ -21,9 +15,6 @@ const SQUARES_MAX: usize = 100_000;
 pub(super) struct UnseenCells {
     attempts: HashMap<[i32; 2], Attempts>,
     attempt: u32,
-    /// Largest known area after an attempt, square metres, and the number of attempts since it grew.
-    known_m2: f64,
-    vain_attempts: u32,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -48,29 +39,6 @@ impl UnseenCells {
         if square.last != self.attempt {
             (square.count, square.last) = (square.count.saturating_add(1), self.attempt);
         }
-    }
-
-    /// Records the known area after an attempt of some robot.
-    pub(super) fn record_yield(&mut self, known_m2: f64) {
-        if !self.record_growth(known_m2) {
-            self.vain_attempts += 1;
-        }
-    }
-
-    /// Records the known area; returns whether it has grown, so that attempts are worth their time again.
-    pub(super) fn record_growth(&mut self, known_m2: f64) -> bool {
-        let has_grown = known_m2 > self.known_m2 + YIELD_MIN_M2;
-        // A map that has lost a part, as when robots are separated again, grows from what is left.
-        let has_shrunk = known_m2 < self.known_m2 - SHRUNK_MIN_M2;
-        if has_grown || has_shrunk {
-            (self.known_m2, self.vain_attempts) = (known_m2, 0);
-        }
-        has_grown
-    }
-
-    /// Whether so many attempts in a row have shown nothing that the rest is noise of the map.
-    pub(super) fn is_exhausted(&self) -> bool {
-        self.vain_attempts >= VAIN_ATTEMPTS_MAX
     }
 
     /// Ends the attempt under way.
@@ -116,32 +84,6 @@ impl UnseenCells {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn attempts_that_show_nothing_in_a_row_exhaust_the_map() {
-        let mut unseen = UnseenCells::default();
-        unseen.record_yield(10.0);
-        for _ in 1..VAIN_ATTEMPTS_MAX {
-            unseen.record_yield(10.09);
-        }
-        assert!(!unseen.is_exhausted());
-        unseen.record_yield(10.11);
-        (0..VAIN_ATTEMPTS_MAX).for_each(|_| unseen.record_yield(10.15));
-        assert!(unseen.is_exhausted());
-        unseen.record_growth(10.3);
-        assert!(!unseen.is_exhausted(), "a map that is merged late opens new space");
-    }
-
-    #[test]
-    fn what_is_seen_after_a_part_of_the_map_was_lost_is_not_in_vain() {
-        let mut unseen = UnseenCells::default();
-        unseen.record_yield(100.0);
-        unseen.record_growth(40.0);
-        for attempt in 1..=u32::from(u8::MAX) {
-            unseen.record_yield(40.0 + 0.2 * f64::from(attempt));
-            assert!(!unseen.is_exhausted());
-        }
-    }
 
     #[test]
     fn a_square_is_given_up_after_two_attempts() {

@@ -87,6 +87,47 @@ fn what_is_never_seen_is_given_up_and_robots_go_home() {
 }
 
 #[test]
+fn robots_that_get_nowhere_do_not_keep_exploration_from_its_end() {
+    let cells = cells();
+    // The first never leaves its place, the second is sent to and fro between two places and never arrives.
+    for (robots, far_m) in [(1, 0.0), (2, 0.0), (2, 1.5)] {
+        let mut robots = [robot(1, 5.8, 2.0), robot(2, 6.4, 2.0)][..robots].to_vec();
+        let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+        let mut seconds = 0.0;
+        while coordinator.update(&input(&cells, &robots, seconds)) == CoordinationPhase::Exploring {
+            for robot in &mut robots {
+                robot.progress = GoalProgress::Active;
+            }
+            if let Some(second) = robots.get_mut(1) {
+                let x_m = if ((seconds / 10.0) as u32).is_multiple_of(2) { 6.4 } else { 6.4 - far_m };
+                second.map_from_base = Some(Pose2::new(x_m, 2.0, 0.0));
+            }
+            seconds += 1.0;
+            assert!(seconds < 600.0, "exploration does not end");
+        }
+        let leftovers = coordinator.leftovers();
+        let is_named = |left: &Leftover| left.reason == LeftoverReason::TookTooLong;
+        assert!(leftovers.iter().any(is_named), "{leftovers:?}");
+    }
+}
+
+#[test]
+fn two_plans_of_nearly_the_same_cost_do_not_turn_a_robot_to_and_fro() {
+    let cells = cells();
+    let mut robots = [robot(1, 6.0, 2.0)];
+    let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+    let mut side = None;
+    // Errors of the map move the robot by a few centimetres between the two doors.
+    for step in 0..20 {
+        let off_m = if step % 2 == 0 { 0.1 } else { -0.1 };
+        robots[0].map_from_base = Some(Pose2::new(6.0 + off_m, 2.0, core::f64::consts::FRAC_PI_2));
+        coordinator.update(&input(&cells, &robots, 2.0 * f64::from(step)));
+        let is_left = coordinator.goal(robots[0].robot).unwrap().position_m[0] < 6.0;
+        assert_eq!(*side.get_or_insert(is_left), is_left, "step {step}");
+    }
+}
+
+#[test]
 fn what_a_robot_did_not_look_at_or_through_is_not_given_up() {
     let mut cells = cells();
     let mut robots = [robot(1, 4.5, 2.0)];
