@@ -221,6 +221,8 @@ pub struct MapDoubts {
     /// Share of the nodes that are not tied to the map: nothing connects them with it, their position is uncertain, or they
     /// contradict it; 0 to 1.
     pub untied_share: f32,
+    /// Closures that agree with another one and put nodes of the map more than a metre away from where they are: the map contradicts them.
+    pub refuted_closures: u32,
 }
 
 impl MapDoubts {
@@ -235,6 +237,7 @@ impl MapDoubts {
             (self.contradicted_share > CONTRADICTED_SHARE_MAX, "scans see through walls of the map"),
             (self.odometry_stretch > STRETCH_SIGMAS_MAX, "the path is longer or shorter than odometry says"),
             (self.untied_share > UNTIED_SHARE_MAX, "a large part of the path has no known place in the map"),
+            (self.refuted_closures > 0, "places that were recognised lie elsewhere in the map"),
         ];
         reasons.into_iter().filter(|(is_strong, _)| *is_strong).map(|(_, reason)| reason)
     }
@@ -293,10 +296,11 @@ mod tests {
             MapDoubts { contradicted_share: 0.5, ..MapDoubts::default() },
             MapDoubts { odometry_stretch: 8.0, ..MapDoubts::default() },
             MapDoubts { untied_share: 0.4, ..MapDoubts::default() },
+            MapDoubts { refuted_closures: 2, ..MapDoubts::default() },
         ];
         let words: Vec<_> = doubts.iter().flat_map(MapDoubts::reasons).collect();
-        assert_eq!(words.len(), 3);
-        assert!((0..3).all(|a| (0..a).all(|b| words[a] != words[b])), "{words:?}");
+        assert_eq!(words.len(), 4);
+        assert!((0..4).all(|a| (0..a).all(|b| words[a] != words[b])), "{words:?}");
     }
 
     /// Comparisons of 40 nodes: the last ones with the first ones, which they agree with or contradict.

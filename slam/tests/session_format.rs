@@ -83,7 +83,7 @@ fn a_version_has_one_format() {
 #[test]
 fn another_version_is_refused_with_what_to_do() {
     let (session, record) = example();
-    for version in [3, 4, 5, 6, 7, 8, VERSION + 1] {
+    for version in [3, 4, 5, 6, 7, 8, 9, VERSION + 1] {
         let mut other = session.clone();
         other[8..12].copy_from_slice(&version.to_le_bytes());
         let why = Session::decode_any(&other).unwrap_err();

@@ -102,6 +102,7 @@ impl BackEnd {
             distant_relocations: self.doubts.distant_relocations,
             position_sigma_m: self.largest_position_sigma_m(),
             untied_share: untied as f32 / self.nodes.len().max(1) as f32,
+            refuted_closures: self.count_refuted_closures(),
         };
     }
 

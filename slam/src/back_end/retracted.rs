@@ -1,4 +1,4 @@
-//! Closures that the solved graph contradicted, and that later ones confirm.
+//! Closures that the solved graph contradicted, and that later ones confirm; and those that stay taken back although they agree.
 //!
 //! Robust kernels let a long path outvote two closures, however right, if its links claim more than they know. What two
 //! cannot do, many that say the same can: closures that agree are judged as a set (pairwise consistency; Mangelson et al.,
@@ -7,10 +7,15 @@
 use super::BackEnd;
 use crate::closure::ClosureCandidate;
 use crate::graph::{Edge, EdgeKind};
-use msg::pose::wrap_angle;
+use msg::{Pose2, pose::wrap_angle};
 
 /// Closures whose ends are this near in order can be compared: the graph knows the way between their ends, some 12 m, well.
 const AGREEING_NODES: u32 = 40;
+/// Distance between a closure and the map from which one of the two is wrong by what matters, metres. Closures that a map at 90° takes
+/// back for some centimetres are no evidence.
+const REFUTED_M: f64 = 1.0;
+/// Most refuted closures that are compared with each other, the newest.
+const REFUTED_MAX: usize = 64;
 
 impl BackEnd {
     /// Puts closures that were taken back into force again if new ones agree with them. If the solved graph still
@@ -23,7 +28,7 @@ impl BackEnd {
                 let is_retracted = edge.kind == EdgeKind::Closure && !edge.in_force;
                 is_retracted
                     && !self.loop_closer.was_rejected(edge)
-                    && new.iter().any(|closure| self.agrees(edge, closure))
+                    && new.iter().any(|closure| self.agrees(edge, &closure_of(closure)))
             })
             .collect();
         for index in restored {
@@ -32,17 +37,57 @@ impl BackEnd {
         }
     }
 
+    /// Number of closures that were taken back although another one says the same, and that put nodes of the map more than a metre away
+    /// from where they are. Either they are wrong together, or the path between their ends is: a robot that was carried along a
+    /// corridor sees nothing that contradicts it but these.
+    pub(super) fn count_refuted_closures(&self) -> u32 {
+        let poses = self.graph.poses();
+        let is_tied = |id: u32| self.nodes[id as usize].is_tied();
+        let is_refuted = |edge: &&Edge| {
+            let in_map = poses[edge.a as usize].between(poses[edge.b as usize]);
+            edge.kind == EdgeKind::Closure
+                && !edge.in_force
+                && is_tied(edge.a)
+                && is_tied(edge.b)
+                && in_map.distance_m(edge.a_from_b) > REFUTED_M
+                && !self.loop_closer.was_rejected(edge)
+        };
+        let refuted: Vec<&Edge> =
+            self.graph.edges().iter().rev().filter(is_refuted).take(REFUTED_MAX).collect();
+        let is_confirmed = |edge: &&&Edge| {
+            refuted
+                .iter()
+                .any(|other| !core::ptr::eq(**edge, *other) && self.agrees(edge, &between_of(other)))
+        };
+        refuted.iter().filter(is_confirmed).count() as u32
+    }
+
     /// Whether two closures between the same passes say the same.
-    fn agrees(&self, edge: &Edge, new: &ClosureCandidate) -> bool {
+    fn agrees(&self, edge: &Edge, other: &Between) -> bool {
         let c = &self.config.closures;
         let poses = self.graph.poses();
-        let to = poses[new.candidate as usize].between(poses[edge.a as usize]);
-        let back = poses[edge.b as usize].between(poses[new.node as usize]);
+        let to = poses[other.a as usize].between(poses[edge.a as usize]);
+        let back = poses[edge.b as usize].between(poses[other.b as usize]);
         let implied = to * edge.a_from_b * back;
-        let turned = wrap_angle(implied.yaw_rad - new.candidate_from_node.yaw_rad).abs();
-        let is_near = edge.a.abs_diff(new.candidate).max(edge.b.abs_diff(new.node)) <= AGREEING_NODES;
-        is_near && implied.distance_m(new.candidate_from_node) < c.agree_m && turned < c.agree_rad
+        let turned = wrap_angle(implied.yaw_rad - other.a_from_b.yaw_rad).abs();
+        let is_near = edge.a.abs_diff(other.a).max(edge.b.abs_diff(other.b)) <= AGREEING_NODES;
+        is_near && implied.distance_m(other.a_from_b) < c.agree_m && turned < c.agree_rad
     }
+}
+
+/// What a closure says: node `b` as seen from node `a`.
+struct Between {
+    a: u32,
+    b: u32,
+    a_from_b: Pose2,
+}
+
+fn between_of(edge: &Edge) -> Between {
+    Between { a: edge.a, b: edge.b, a_from_b: edge.a_from_b }
+}
+
+fn closure_of(closure: &ClosureCandidate) -> Between {
+    Between { a: closure.candidate, b: closure.node, a_from_b: closure.candidate_from_node }
 }
 
 #[cfg(test)]
@@ -51,13 +96,12 @@ mod tests {
     use crate::common::{FULL, Noise, cast};
     use crate::config::SlamConfig;
     use crate::testing::standing_node;
-    use msg::{Pose2, Stamp};
+    use msg::Stamp;
     use posegraph::information_from_sigmas;
 
-    #[test]
-    fn right_closures_that_a_long_path_outvotes_two_by_two_win_together() {
+    /// A path of 70 steps that claims to know each to 4.6 mm.
+    fn long_path() -> BackEnd {
         let mut back = BackEnd::new(SlamConfig::default());
-        // A path that claims 4.6 mm a step, and whose end is 0.6 m off after 60 of them.
         for id in 0..70 {
             let at = Pose2::new(0.3 * f64::from(id), 0.0, 0.0);
             let scan = cast(&[], &FULL, at, Stamp(i64::from(id)), &mut Noise::new(1));
@@ -74,20 +118,45 @@ mod tests {
                 );
             }
         }
-        let closure = |k: u32| ClosureCandidate {
+        back
+    }
+
+    /// The `k`-th closure, which says that the ends of 60 steps, 18 m, are this far apart, metres.
+    fn closure(k: u32, apart_m: f64) -> ClosureCandidate {
+        ClosureCandidate {
             node: 60 + k,
             candidate: k,
-            candidate_from_node: Pose2::new(17.4, 0.0, 0.0),
+            candidate_from_node: Pose2::new(apart_m, 0.0, 0.0),
             information: information_from_sigmas(0.01, 0.003),
             response: 0.8,
-        };
+        }
+    }
+
+    #[test]
+    fn right_closures_that_a_long_path_outvotes_two_by_two_win_together() {
+        // The end of the path is 0.6 m off.
+        let mut back = long_path();
+        let closure = |k: u32| closure(k, 17.4);
         back.add_closures(&[closure(0), closure(1)]);
         assert_eq!((back.counts().closures, back.counts().retracted), (0, 2));
+        assert_eq!(back.count_refuted_closures(), 0, "less than a metre");
         back.add_closures(&[closure(2), closure(3)]);
         back.add_closures(&[closure(4), closure(5)]);
         back.add_closures(&[closure(6), closure(7)]);
         assert_eq!((back.counts().closures, back.counts().retracted), (8, 0));
         let end_m = back.graph.poses()[60].x_m - back.graph.poses()[0].x_m;
         assert!((end_m - 17.4).abs() < 0.05, "{end_m}");
+    }
+
+    #[test]
+    fn a_map_that_contradicts_closures_which_agree_by_metres_is_unreliable() {
+        let mut back = long_path();
+        back.add_closures(&[closure(0, 14.7)]);
+        back.renew_doubts();
+        assert!(!back.doubts().is_unreliable(), "one alone may be wrong: {:?}", back.doubts());
+        back.add_closures(&[closure(1, 14.7)]);
+        back.renew_doubts();
+        assert_eq!((back.counts().closures, back.doubts().refuted_closures), (0, 2));
+        assert!(back.doubts().is_unreliable());
     }
 }

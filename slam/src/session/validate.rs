@@ -233,12 +233,14 @@ fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
         distant_relocations,
         position_sigma_m,
         untied_share,
+        refuted_closures,
     } = doubts.current;
     check((0.0..=1.0).contains(&contradicted_share), "share of contradicted points")?;
     check((0.0..=1.0).contains(&untied_share), "share of nodes that are not tied")?;
     check((0.0..=STRETCH_SIGMAS_MAX).contains(&odometry_stretch), "difference from odometry")?;
     check((0.0..=UNMEASURED_S_MAX).contains(&unmeasured_motion_s), "time without a measured motion")?;
     check(distant_relocations <= NUMBER_MAX, "number of distant relocations")?;
+    check(refuted_closures as usize <= nodes * nodes, "number of refuted closures")?;
     check(
         position_sigma_m.is_finite() && position_sigma_m >= 0.0,
         "standard deviation of the position known worst",
