@@ -11,6 +11,7 @@ mod input;
 mod obstacles;
 mod progress;
 mod robot;
+mod standstill;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -223,7 +224,7 @@ impl FleetNavigator {
     fn coordinate(&mut self, input: &NavigationInput) {
         self.coordinated_at = Some(input.stamp);
         let mut order: Vec<usize> = (0..self.robots.len()).collect();
-        order.sort_by_key(|i| (Reverse(self.robots[*i].promoted), self.robots[*i].robot));
+        order.sort_by_key(|i| (Reverse(self.robots[*i].standstill.promoted), self.robots[*i].robot));
         let mut reservations = Vec::new();
         // Robots that cannot drive stand in everybody's way; so they come first.
         for navigator in self.robots.iter().filter(|navigator| navigator.state().is_active()) {
@@ -254,21 +255,41 @@ impl FleetNavigator {
             }
             follow_route(navigator, poses, &route);
         }
-        self.promote(input.stamp, trapped);
+        self.promote_trapped(input.stamp, trapped);
+        self.promote_waiting(input.stamp);
     }
 
     /// Puts a robot that cannot get out of the others' way for some time before them: they have to get out of its way.
-    fn promote(&mut self, now: Stamp, trapped: Option<usize>) {
+    fn promote_trapped(&mut self, now: Stamp, trapped: Option<usize>) {
         let Some(i) = trapped else {
             self.trapped_since = None;
             return;
         };
         let since = *self.trapped_since.get_or_insert(now);
         if now - since >= PROMOTION_PERIOD_S {
-            let highest = self.robots.iter().map(|navigator| navigator.promoted).max().unwrap_or(0);
-            self.robots[i].promoted = highest.saturating_add(1);
+            self.promote(i);
             self.trapped_since = None;
         }
+    }
+
+    /// Of two robots that wait for each other, puts the one whose plan waits before the one whose plan leads on: that one has stood for
+    /// some time, because they are too near each other, and the plan of the first takes it to be gone soon.
+    fn promote_waiting(&mut self, now: Stamp) {
+        for i in 0..self.robots.len() {
+            let Some(other) = self.robots[i].standstill.stopped_by(now, PROMOTION_PERIOD_S) else { continue };
+            let robot = self.robots[i].robot;
+            let waiting = self.robots.iter().position(|it| it.robot == other && it.waits_for(robot));
+            if let Some(waiting) = waiting {
+                self.promote(waiting);
+                let stopped = &mut self.robots[i].standstill;
+                stopped.promote(stopped.promoted);
+            }
+        }
+    }
+
+    fn promote(&mut self, i: usize) {
+        let highest = self.robots.iter().map(|navigator| navigator.standstill.promoted).max().unwrap_or(0);
+        self.robots[i].standstill.promote(highest.saturating_add(1));
     }
 
     /// The robots that stand or that a person drives, by their poses in the map of one robot.

@@ -64,12 +64,20 @@ impl Progress {
         Self { best_m: f64::INFINITY, since: now, deadline, recoveries: 0 }
     }
 
+    /// The progress towards a goal that replaces this one: a robot that has not left its place since then has made none.
+    pub(super) fn to_new_goal(self, now: Stamp, place_since: Stamp) -> Self {
+        let since = self.since.max(place_since);
+        Self { since, recoveries: if since == self.since { self.recoveries } else { 0 }, ..Self::new(now) }
+    }
+
     /// Records the remaining cost of the route, metres; returns whether it is progress.
     pub(super) fn record(&mut self, now: Stamp, config: &NavigatorConfig, remaining_m: f64) -> bool {
         if self.best_m == f64::INFINITY {
             let expected_s =
                 (remaining_m / config.follower.cruise_m_s).min(OVERDUE_EXTRA_S * OVERDUE_EXTRA_S);
             self.deadline = now + Duration::from_secs_f64(OVERDUE_FACTOR * expected_s + OVERDUE_EXTRA_S);
+            self.best_m = remaining_m;
+            return false;
         }
         let is_progress = remaining_m < self.best_m - PROGRESS_M;
         if is_progress {

@@ -1,21 +1,23 @@
 //! Navigation of one robot: its goal, its routes, its path, and the velocity that follows it.
 
 mod arrival;
+mod routes;
 mod safety;
 
 use super::config::NavigatorConfig;
-use super::goal::{GoalFrame, GoalPose, NavigationGoal};
-use super::goal_map::{GoalMap, GoalMapInput};
+use super::goal::NavigationGoal;
+use super::goal_map::GoalMap;
 use super::input::{NavigatedRobot, RobotPoses};
 use super::obstacles::RecentObstacles;
 use super::progress::{Progress, Recovery};
+use super::standstill::Standstill;
 use super::state::{NavigationFailure, NavigationState};
 use crate::collision::CollisionLimit;
 use crate::command::Twist;
 use crate::follower::PathFollower;
 use crate::observation::ScanView;
 use crate::path::Path;
-use msg::{ExclusionZone, Pose2, RobotId, Stamp};
+use msg::{Pose2, RobotId, Stamp};
 
 /// Waypoints after a wait to which a waiting robot turns: 0.2 m on maps of 0.05 m.
 const FACED_WAYPOINTS: usize = 3;
@@ -75,8 +77,7 @@ pub(super) struct RobotNavigator {
     is_stop_due: bool,
     /// The robot that it waited for last, since it made progress or something else stopped it.
     waited_for: Option<RobotId>,
-    /// How often it was put before all others because it could not get out of their way.
-    pub(super) promoted: u32,
+    pub(super) standstill: Standstill,
 }
 
 impl RobotNavigator {
@@ -98,7 +99,7 @@ impl RobotNavigator {
             recovery: None,
             is_stop_due: false,
             waited_for: None,
-            promoted: 0,
+            standstill: Standstill::default(),
         }
     }
 
@@ -141,8 +142,16 @@ impl RobotNavigator {
 
     pub(super) fn set_goal(&mut self, now: Stamp, goal: NavigationGoal) {
         self.drop_path();
-        self.promoted = 0;
-        let progress = Progress::new(now);
+        let progress = match &self.goal {
+            // A robot that cannot get away is helped, however often its goal changes.
+            Some(replaced) if self.state.is_active() => {
+                replaced.progress.to_new_goal(now, self.standstill.since(now))
+            }
+            _ => {
+                self.standstill = Standstill::default();
+                Progress::new(now)
+            }
+        };
         self.waited_for = None;
         self.goal = Some(ActiveGoal { goal, next: 0, progress, is_at_position: false });
         self.state = NavigationState::Planning;
@@ -204,6 +213,11 @@ impl RobotNavigator {
         self.followed.is_some()
     }
 
+    /// Whether it waits for a robot, or has until it got another goal.
+    pub(super) fn waits_for(&self, robot: RobotId) -> bool {
+        self.state.is_active() && self.waited_for == Some(robot)
+    }
+
     pub(super) fn is_recovering(&self) -> bool {
         self.recovery.is_some()
     }
@@ -214,76 +228,6 @@ impl RobotNavigator {
         let robots_m: Vec<[f64; 2]> =
             others.iter().map(|other| odom_from_base.apply(other.in_base_m)).collect();
         self.obstacles.record(now, odom_from_base, &scan, &robots_m, self.config.body.radius_m);
-    }
-
-    /// The pose that is driven to, in the frame of the robot's map.
-    fn goal_pose(&self, robot: &NavigatedRobot) -> Result<GoalPose, NavigationFailure> {
-        let active = self.goal.as_ref().ok_or(NavigationFailure::NoPose)?;
-        let pose = active.goal.poses()[active.next];
-        match (active.goal.frame(), robot.observation.in_merged_map) {
-            (GoalFrame::MergedMap, true) | (GoalFrame::RobotMap, false) => Ok(pose),
-            (GoalFrame::MergedMap, false) => Err(NavigationFailure::NotMerged),
-            (GoalFrame::RobotMap, true) => {
-                let map_from_robot_map = robot.map_from_robot_map.ok_or(NavigationFailure::NoPose)?;
-                Ok(pose.transformed(map_from_robot_map))
-            }
-        }
-    }
-
-    /// Searches the routes to the goal on the newest map.
-    pub(super) fn search(
-        &mut self,
-        now: Stamp,
-        robot: &NavigatedRobot,
-        zones: &[ExclusionZone],
-        standing: &[(RobotId, [f64; 2])],
-    ) {
-        let result = self.search_routes(now, robot, zones, standing);
-        self.searched = Some((now, result));
-        if let Err(failure) = result {
-            self.followed = None;
-            if !matches!(failure, NavigationFailure::Robot(_)) {
-                self.waited_for = None;
-            }
-            self.state = NavigationState::Blocked(failure);
-            return;
-        }
-        let at_m = robot.poses().map(|poses| poses.position_m());
-        self.remaining_m = at_m.and_then(|at_m| self.goal_map.cost_m(at_m));
-        if let Some((active, remaining_m)) = self.goal.as_mut().zip(self.remaining_m)
-            && active.progress.record(now, &self.config, remaining_m)
-        {
-            self.waited_for = None;
-        }
-    }
-
-    fn search_routes(
-        &mut self,
-        now: Stamp,
-        robot: &NavigatedRobot,
-        zones: &[ExclusionZone],
-        standing: &[(RobotId, [f64; 2])],
-    ) -> Result<(), NavigationFailure> {
-        let goal_m = self.goal_pose(robot)?.position_m;
-        let (map, poses) = robot.observation.map.zip(robot.poses()).ok_or(NavigationFailure::NoPose)?;
-        let standing_robots_m: Vec<[f64; 2]> = standing.iter().map(|(_, at_m)| *at_m).collect();
-        let input = GoalMapInput {
-            stamp: now,
-            map,
-            poses,
-            goal_m,
-            obstacles: &self.obstacles,
-            zones: if robot.observation.in_merged_map { zones } else { &[] },
-            standing_robots_m: &standing_robots_m,
-        };
-        let result = self.goal_map.search(&self.config, &input);
-        let blocking = standing
-            .iter()
-            .find(|(_, at_m)| crate::geometry::distance_m(*at_m, goal_m) < self.config.separation_m);
-        match (result, blocking) {
-            (Err(NavigationFailure::GoalOccupied), Some((robot, _))) => Err(NavigationFailure::Robot(*robot)),
-            (result, _) => result,
-        }
     }
 
     /// Follows a path in the frame of the robot's map from now on.
@@ -326,12 +270,13 @@ impl RobotNavigator {
             self.set_blocked(now, NavigationFailure::NoPose);
             return Some(Twist::STOP);
         };
+        self.standstill.observe(now, poses.odom_from_base);
         let wanted = self.wanted_velocity(now, (robot, poses), &scan, others);
         if !self.state.is_active() {
             self.is_stop_due = false;
             return Some(Twist::STOP);
         }
-        let limited = self.limit(wanted, &scan, others);
+        let limited = self.limit(now, wanted, &scan, others);
         self.give_up_if_hopeless(now);
         Some(if self.state.is_active() { limited } else { Twist::STOP })
     }

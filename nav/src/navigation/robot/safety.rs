@@ -87,7 +87,13 @@ impl RobotNavigator {
     }
 
     /// Slows the robot for what the scan shows ahead and for robots near it, and says what it stands for.
-    pub(super) fn limit(&mut self, wanted: Twist, scan: &ScanView, others: &[OtherRobot]) -> Twist {
+    pub(super) fn limit(
+        &mut self,
+        now: Stamp,
+        wanted: Twist,
+        scan: &ScanView,
+        others: &[OtherRobot],
+    ) -> Twist {
         if wanted.linear_m_s < 0.0 {
             return self.collision.limit_speed_back(wanted, self.collision.free_distance_behind_m(scan));
         }
@@ -108,11 +114,15 @@ impl RobotNavigator {
         let wants_to_drive = wanted.linear_m_s > STANDING_M_S;
         if wants_to_drive && limited.linear_m_s < STANDING_M_S && self.state == NavigationState::Driving {
             self.waited_for = limited_by.filter(|other| other.is_active).map(|other| other.robot);
+            self.standstill.record_stop(now, self.waited_for);
             self.state = match limited_by {
                 Some(other) if other.is_active => NavigationState::WaitingForRobot(other.robot),
                 Some(other) => NavigationState::Blocked(NavigationFailure::Robot(other.robot)),
                 None => NavigationState::Blocked(NavigationFailure::Obstacle),
             };
+        }
+        if limited.linear_m_s.abs() > STANDING_M_S {
+            self.standstill.record_motion();
         }
         limited
     }

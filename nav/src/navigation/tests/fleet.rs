@@ -152,6 +152,50 @@ fn eight_robots_swap_the_sides_of_a_corridor() {
     assert_most_are_solved(run_seeds("8 robots swap sides, corridor of 2 m", run));
 }
 
+/// Two robots that stand closer to each other than plans allow and want to go to one side; each second their goals change by up to
+/// `renewed_m`, as those of an exploration do.
+fn leave_together(renewed_m: f64, seed: u64) -> Outcome {
+    /// Time in which goals change, seconds, and in which each robot has to get away.
+    const RENEWED_S: f64 = 40.0;
+    let mut random = RandomNumbers::new(seed);
+    let apart_m = 0.26 + jitter(&mut random, 0.04);
+    let bearing_rad = jitter(&mut random, PI);
+    let one = Pose2::new(5.0, 1.0, jitter(&mut random, PI));
+    let [x, y] = [5.0 + apart_m * bearing_rad.cos(), 1.0 + apart_m * bearing_rad.sin()];
+    let starts = [one, Pose2::new(x, y, jitter(&mut random, PI))];
+    let mut drive = Drive::new(TestWorld::with_room(Room::corridor(2.0), &starts));
+    let goals_m = [[1.0, 0.6], [1.4, 1.4]];
+    let mut go = |drive: &mut Drive, off_m: f64| {
+        for (i, [x, y]) in goals_m.into_iter().enumerate() {
+            drive.go(i + 1, [x + 0.5 + jitter(&mut random, off_m), y]);
+        }
+    };
+    go(&mut drive, 0.0);
+    while renewed_m > 0.0 && drive.now().seconds() < RENEWED_S {
+        go(&mut drive, renewed_m);
+        drive.run_until(1.0, |_| false);
+    }
+    for (i, start) in starts.iter().enumerate().filter(|_| renewed_m > 0.0) {
+        let moved_m = drive.world.pose(i).distance_m(*start);
+        assert!(moved_m > 1.0, "seed {seed}: robot {} is {moved_m} m away, {:?}", i + 1, states(&drive));
+    }
+    run_to_the_end(&mut drive, seed)
+}
+
+#[test]
+fn robots_that_stand_close_to_each_other_leave_to_one_side() {
+    assert_most_are_solved(run_seeds("close to each other, one way", |seed| leave_together(0.0, seed)));
+}
+
+#[test]
+fn robots_that_stand_close_to_each_other_leave_although_their_goals_change_each_second() {
+    let run = |seed| leave_together(0.4, seed);
+    assert_most_are_solved(run_seeds("close to each other, goals that change", run));
+    // They waited for each other for ever, until a robot that stands for one whose plan waits gave way.
+    run(51);
+    run(63);
+}
+
 #[test]
 fn a_robot_that_is_dead_in_a_doorway_is_reported_within_half_a_minute() {
     let run = |seed| {
