@@ -1,4 +1,4 @@
-//! Closures that the solved graph contradicted, and that later ones confirm; and those that stay taken back although they agree.
+//! Closures that the solved graph contradicted, and that later ones confirm; and those that stay removed although they agree.
 //!
 //! Robust kernels let a long path outvote two closures, however right, if its links claim more than they know. What two
 //! cannot do, many that say the same can: closures that agree are judged as a set (pairwise consistency; Mangelson et al.,
@@ -11,8 +11,8 @@ use msg::{Pose2, pose::wrap_angle};
 
 /// Closures whose ends are this near in order can be compared: the graph knows the way between their ends, some 12 m, well.
 const AGREEING_NODES: u32 = 40;
-/// Distance between a closure and the map from which one of the two is wrong by what matters, metres. Closures that a map at 90° takes
-/// back for some centimetres are no evidence.
+/// Distance between a closure and the map from which one of the two is wrong by what matters, metres. Closures that a map at 90° removes
+/// for some centimetres are no evidence.
 const REFUTED_M: f64 = 1.0;
 /// Most refuted closures that are compared with each other, the newest.
 const REFUTED_MAX: usize = 64;
@@ -37,7 +37,7 @@ impl BackEnd {
         }
     }
 
-    /// Number of closures that were taken back although another one says the same, and that put nodes of the map more than a metre away
+    /// Number of closures that were removed although another one says the same, and that put nodes of the map more than a metre away
     /// from where they are. Either they are wrong together, or the path between their ends is: a robot that was carried along a
     /// corridor sees nothing that contradicts it but these.
     pub(super) fn count_refuted_closures(&self) -> u32 {
