@@ -53,7 +53,10 @@ impl Recovery {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Progress {
     best_m: f64,
+    /// When there was progress last, or the goal was set.
     since: Stamp,
+    /// When there was progress last, towards this goal or one that it replaced without a pause.
+    stands_since: Stamp,
     deadline: Stamp,
     recoveries: u32,
 }
@@ -61,13 +64,15 @@ pub(super) struct Progress {
 impl Progress {
     pub(super) fn new(now: Stamp) -> Self {
         let deadline = now + Duration::from_secs_f64(OVERDUE_EXTRA_S);
-        Self { best_m: f64::INFINITY, since: now, deadline, recoveries: 0 }
+        Self { best_m: f64::INFINITY, since: now, stands_since: now, deadline, recoveries: 0 }
     }
 
-    /// The progress towards a goal that replaces this one: a robot that has not left its place since then has made none.
+    /// The progress towards a goal that replaces this one. A robot that has not left its place is helped as if nothing was new, but
+    /// has the whole time before it gives up.
     pub(super) fn to_new_goal(self, now: Stamp, place_since: Stamp) -> Self {
-        let since = self.since.max(place_since);
-        Self { since, recoveries: if since == self.since { self.recoveries } else { 0 }, ..Self::new(now) }
+        let stands_since = self.stands_since.max(place_since);
+        let recoveries = if stands_since == self.stands_since { self.recoveries } else { 0 };
+        Self { stands_since, recoveries, ..Self::new(now) }
     }
 
     /// Records the remaining cost of the route, metres; returns whether it is progress.
@@ -81,7 +86,8 @@ impl Progress {
         }
         let is_progress = remaining_m < self.best_m - PROGRESS_M;
         if is_progress {
-            (self.best_m, self.since, self.recoveries) = (remaining_m, now, 0);
+            (self.best_m, self.recoveries) = (remaining_m, 0);
+            (self.since, self.stands_since) = (now, now);
         } else if remaining_m > self.best_m + DETOUR_M {
             self.best_m = remaining_m;
         }
@@ -95,7 +101,8 @@ impl Progress {
 
     /// Whether it is time for the next attempt to get free, later by `patience`; counts it.
     pub(super) fn take_recovery(&mut self, now: Stamp, config: &NavigatorConfig, patience: f64) -> bool {
-        let is_due = now - self.since > patience * config.recover_after_s * f64::from(self.recoveries + 1);
+        let wait_s = patience * config.recover_after_s * f64::from(self.recoveries + 1);
+        let is_due = now - self.stands_since > wait_s;
         self.recoveries += u32::from(is_due);
         is_due
     }

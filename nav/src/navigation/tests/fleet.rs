@@ -248,3 +248,19 @@ fn a_person_who_fills_a_door_is_waited_for_and_then_reported() {
     };
     run_seeds("person fills a door, then leaves", run);
 }
+
+#[test]
+fn a_goal_that_replaces_another_one_has_its_whole_time() {
+    let start = Pose2::new(1.2, 2.0, PI);
+    let mut drive = Drive::new(TestWorld::with_room(Room::with_door(0.7), &[start]));
+    drive.world.set_people(vec![[3.0, 2.0]]);
+    drive.go(1, [4.6, 2.0]);
+    let stands = |drive: &Drive| matches!(drive.state(1), NavigationState::Blocked(_));
+    drive.run_until(REPORT_MAX_S, stands).expect("a person fills the door");
+    // A little less than until it gives up.
+    let has_failed = drive.run_until(15.0, |drive| !drive.state(1).is_active());
+    assert_eq!(has_failed, None, "{:?}", drive.state(1));
+    drive.go(1, [1.2, 2.0]);
+    drive.run_until(60.0, |drive| !drive.state(1).is_active());
+    assert_eq!(drive.state(1), NavigationState::Reached);
+}
