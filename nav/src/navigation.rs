@@ -281,8 +281,7 @@ impl FleetNavigator {
             let waiting = self.robots.iter().position(|it| it.robot == other && it.waits_for(robot));
             if let Some(waiting) = waiting {
                 self.promote(waiting);
-                let stopped = &mut self.robots[i].standstill;
-                stopped.promote(stopped.promoted);
+                self.robots[i].standstill.forget_stop();
             }
         }
     }

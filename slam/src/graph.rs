@@ -228,6 +228,13 @@ impl Graph {
         same.fold(Matrix3::zeros(), |sum, e| sum + e.information)
     }
 
+    /// Node `b` as seen from node `a` if an edge is right, and the poses of the nodes near its ends relative to these are.
+    pub fn implied_by(&self, edge: &Edge, [a, b]: [u32; 2]) -> Pose2 {
+        let to = self.poses[a as usize].between(self.poses[edge.a as usize]);
+        let back = self.poses[edge.b as usize].between(self.poses[b as usize]);
+        to * edge.a_from_b * back
+    }
+
     /// Squared error of an edge in standard deviations.
     pub fn chi_squared(&self, edge: &Edge) -> f64 {
         edge.constraint().chi_squared(self.poses[edge.a as usize], self.poses[edge.b as usize])

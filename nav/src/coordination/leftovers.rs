@@ -1,6 +1,6 @@
 //! Unknown space beside known free space that the fleet leaves, and why.
 
-use super::growth::{Exhaustion, KnownArea};
+use super::growth::Exhaustion;
 use super::plan::PlanBuffers;
 use super::seen::UnseenCells;
 use crate::clearance_map::ClearanceMap;
@@ -31,7 +31,8 @@ pub struct Leftover {
 pub(super) fn find(
     map: &ClearanceMap,
     buffers: &PlanBuffers,
-    (unseen, known_area): (&UnseenCells, &KnownArea),
+    unseen: &UnseenCells,
+    exhaustion: Option<Exhaustion>,
     clearance_min_m: f64,
 ) -> Vec<Leftover> {
     let mut is_open: Vec<bool> = (0..map.cell_count())
@@ -73,7 +74,7 @@ pub(super) fn find(
         } else if !cells.iter().any(leads_to_floor) {
             LeftoverReason::TooNarrow
         } else {
-            match known_area.exhaustion() {
+            match exhaustion {
                 Some(Exhaustion::Attempts) => LeftoverReason::NotVisible,
                 Some(Exhaustion::Time) => LeftoverReason::TookTooLong,
                 None => LeftoverReason::TooSmall,

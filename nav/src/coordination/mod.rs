@@ -194,7 +194,8 @@ impl FleetCoordinator {
     ///
     /// Refers to the map of the last plan.
     pub fn leftovers(&self) -> Vec<Leftover> {
-        leftovers::find(&self.map, &self.buffers, (&self.unseen, &self.known_area), self.clearance_min_m())
+        let exhaustion = self.known_area.exhaustion();
+        leftovers::find(&self.map, &self.buffers, &self.unseen, exhaustion, self.clearance_min_m())
     }
 
     /// Whether the last plan was made on the whole map, and not on the part around the robots.

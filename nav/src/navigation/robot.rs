@@ -77,6 +77,7 @@ pub(super) struct RobotNavigator {
     is_stop_due: bool,
     /// The robot that it waited for last, since it made progress or something else stopped it.
     waited_for: Option<RobotId>,
+    /// Outlasts goals that are replaced.
     pub(super) standstill: Standstill,
 }
 

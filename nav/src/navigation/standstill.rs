@@ -37,8 +37,8 @@ impl Standstill {
         self.stopped_by = known.or(robot.map(|robot| (robot, now)));
     }
 
-    /// Records that it drives.
-    pub(super) fn record_motion(&mut self) {
+    /// Records that it drives, or that the other robot goes first from now on.
+    pub(super) fn forget_stop(&mut self) {
         self.stopped_by = None;
     }
 

@@ -28,7 +28,7 @@ impl BackEnd {
                 let is_retracted = edge.kind == EdgeKind::Closure && !edge.in_force;
                 is_retracted
                     && !self.loop_closer.was_rejected(edge)
-                    && new.iter().any(|closure| self.agrees(edge, &closure_of(closure)))
+                    && new.iter().any(|it| self.agrees(edge, [it.candidate, it.node], it.candidate_from_node))
             })
             .collect();
         for index in restored {
@@ -55,39 +55,21 @@ impl BackEnd {
         let refuted: Vec<&Edge> =
             self.graph.edges().iter().rev().filter(is_refuted).take(REFUTED_MAX).collect();
         let is_confirmed = |edge: &&&Edge| {
-            refuted
-                .iter()
-                .any(|other| !core::ptr::eq(**edge, *other) && self.agrees(edge, &between_of(other)))
+            refuted.iter().any(|other| {
+                !core::ptr::eq(**edge, *other) && self.agrees(edge, [other.a, other.b], other.a_from_b)
+            })
         };
         refuted.iter().filter(is_confirmed).count() as u32
     }
 
-    /// Whether two closures between the same passes say the same.
-    fn agrees(&self, edge: &Edge, other: &Between) -> bool {
+    /// Whether a closure says the same as another one between the same passes, of the nodes `a` and `b`.
+    fn agrees(&self, edge: &Edge, [a, b]: [u32; 2], a_from_b: Pose2) -> bool {
         let c = &self.config.closures;
-        let poses = self.graph.poses();
-        let to = poses[other.a as usize].between(poses[edge.a as usize]);
-        let back = poses[edge.b as usize].between(poses[other.b as usize]);
-        let implied = to * edge.a_from_b * back;
-        let turned = wrap_angle(implied.yaw_rad - other.a_from_b.yaw_rad).abs();
-        let is_near = edge.a.abs_diff(other.a).max(edge.b.abs_diff(other.b)) <= AGREEING_NODES;
-        is_near && implied.distance_m(other.a_from_b) < c.agree_m && turned < c.agree_rad
+        let implied = self.graph.implied_by(edge, [a, b]);
+        let turned = wrap_angle(implied.yaw_rad - a_from_b.yaw_rad).abs();
+        let is_near = edge.a.abs_diff(a).max(edge.b.abs_diff(b)) <= AGREEING_NODES;
+        is_near && implied.distance_m(a_from_b) < c.agree_m && turned < c.agree_rad
     }
-}
-
-/// What a closure says: node `b` as seen from node `a`.
-struct Between {
-    a: u32,
-    b: u32,
-    a_from_b: Pose2,
-}
-
-fn between_of(edge: &Edge) -> Between {
-    Between { a: edge.a, b: edge.b, a_from_b: edge.a_from_b }
-}
-
-fn closure_of(closure: &ClosureCandidate) -> Between {
-    Between { a: closure.candidate, b: closure.node, a_from_b: closure.candidate_from_node }
 }
 
 #[cfg(test)]

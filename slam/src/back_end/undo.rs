@@ -75,10 +75,7 @@ impl BackEnd {
     }
 
     fn agree(&self, a: &Edge, b: &Edge) -> bool {
-        let poses = self.graph.poses();
-        let to = poses[b.a as usize].between(poses[a.a as usize]);
-        let back = poses[a.b as usize].between(poses[b.b as usize]);
-        let implied = to * a.a_from_b * back;
+        let implied = self.graph.implied_by(a, [b.a, b.b]);
         let turned = wrap_angle(implied.yaw_rad - b.a_from_b.yaw_rad).abs();
         implied.distance_m(b.a_from_b) < REJECTED_M && turned < REJECTED_RAD
     }

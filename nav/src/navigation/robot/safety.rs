@@ -122,7 +122,7 @@ impl RobotNavigator {
             };
         }
         if limited.linear_m_s.abs() > STANDING_M_S {
-            self.standstill.record_motion();
+            self.standstill.forget_stop();
         }
         limited
     }
