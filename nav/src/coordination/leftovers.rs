@@ -74,11 +74,7 @@ pub(super) fn find(
         } else if !cells.iter().any(leads_to_floor) {
             LeftoverReason::TooNarrow
         } else {
-            match exhaustion {
-                Some(Exhaustion::Attempts) => LeftoverReason::NotVisible,
-                Some(Exhaustion::Time) => LeftoverReason::TookTooLong,
-                None => LeftoverReason::TooSmall,
-            }
+            reason_of_rest(exhaustion)
         };
         let length_m = cells.len() as f64 * map.cell_size_m();
         let unknown = cells.iter().find_map(|cell| unknown_beside(map, *cell));
@@ -88,6 +84,15 @@ pub(super) fn find(
     found.sort_by(|a, b| b.length_m.total_cmp(&a.length_m));
     found.truncate(LEFTOVERS_MAX);
     found
+}
+
+/// Why what robots could reach and see is left.
+fn reason_of_rest(exhaustion: Option<Exhaustion>) -> LeftoverReason {
+    match exhaustion {
+        Some(Exhaustion::Attempts) => LeftoverReason::NotVisible,
+        Some(Exhaustion::Time) => LeftoverReason::TookTooLong,
+        None => LeftoverReason::TooSmall,
+    }
 }
 
 /// Collects the open cells connected with `seed` and takes them out of the set.
