@@ -133,7 +133,7 @@ pub enum NavigationStatus {
     Waiting = 3,
     /// It cannot drive on at the moment, and keeps trying.
     Blocked = 4,
-    /// It backs up or turns to get free.
+    /// It backs up or turns to get free, or looks for its place; the reason says which.
     Recovering = 5,
     /// A person drives the robot or has stopped it; the goal is kept.
     Paused = 6,

@@ -120,15 +120,7 @@ impl FleetNavigator {
 
     /// Gives a robot a goal in place of its present one.
     pub fn set_goal(&mut self, now: Stamp, robot: RobotId, goal: NavigationGoal) {
-        let known = self.robots.iter_mut().find(|navigator| navigator.robot == robot);
-        match known {
-            Some(navigator) => navigator.set_goal(now, goal),
-            None => {
-                let mut navigator = RobotNavigator::new(robot, self.config);
-                navigator.set_goal(now, goal);
-                self.robots.push(navigator);
-            }
-        }
+        self.of_or_new(robot).set_goal(now, goal);
     }
 
     /// Cancels a robot's goal; the next step stops the robot.
@@ -146,9 +138,30 @@ impl FleetNavigator {
         self.of(robot).for_each(|navigator| navigator.resume(now));
     }
 
+    /// Has a robot that does not know where it is look for its place, in place of a goal: it turns once, then drives by its LiDAR
+    /// alone for two minutes at most. The search ends when its pose is known; and at once if there are exclusion zones, because it
+    /// cannot keep out of them.
+    pub fn find_place(&mut self, now: Stamp, robot: RobotId) {
+        self.of_or_new(robot).find_place(now);
+    }
+
+    /// Ends a search for a robot's place, if there is one.
+    pub fn end_place_search(&mut self, robot: RobotId) {
+        self.of(robot).for_each(|navigator| navigator.end_place_search(NavigationState::Idle));
+    }
+
     /// The goal that a robot drives to or that is paused.
     pub fn goal(&self, robot: RobotId) -> Option<&NavigationGoal> {
         self.robots.iter().find(|navigator| navigator.robot == robot)?.goal()
+    }
+
+    fn of_or_new(&mut self, robot: RobotId) -> &mut RobotNavigator {
+        let known = self.robots.iter().position(|navigator| navigator.robot == robot);
+        let index = known.unwrap_or_else(|| {
+            self.robots.push(RobotNavigator::new(robot, self.config));
+            self.robots.len() - 1
+        });
+        &mut self.robots[index]
     }
 
     fn of(&mut self, robot: RobotId) -> impl Iterator<Item = &mut RobotNavigator> {
@@ -179,6 +192,10 @@ impl FleetNavigator {
     /// One control step: observes the fleet, plans for one robot at most, and computes all velocities.
     pub fn step(&mut self, input: &NavigationInput) {
         let now = input.stamp;
+        if !input.exclusion_zones.is_empty() {
+            let failure = NavigationState::Failed(NavigationFailure::NoPose);
+            self.robots.iter_mut().for_each(|navigator| navigator.end_place_search(failure));
+        }
         let others: Vec<Vec<OtherRobot>> = (0..self.robots.len()).map(|i| self.others(i, input)).collect();
         for (navigator, others) in self.robots.iter_mut().zip(&others) {
             if let Some(robot) = find(input, navigator.robot).filter(|_| navigator.state().is_active()) {

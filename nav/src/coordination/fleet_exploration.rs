@@ -2,12 +2,13 @@
 //!
 //! The robots of the merged map share one coordinator. A robot whose map is not merged yet explores its own map.
 
+use super::lost_robots::LostRobots;
 use super::sent_goal::SentGoal;
 use super::types::{
-    CoordinatedRobot, CoordinationInput, CoordinationPhase, GoalProgress, RobotAvailability, RobotGoal,
-    TimeEstimate,
+    CoordinatedRobot, CoordinationInput, CoordinationPhase, ExplorationEnd, FoundLeftover, GoalProgress,
+    RobotAvailability, RobotGoal, TimeEstimate,
 };
-use super::{CoordinationConfig, FleetCoordinator, Leftover};
+use super::{CoordinationConfig, FleetCoordinator};
 use crate::navigation::{FleetNavigator, GoalFrame, NavigatedRobot, NavigationInput, NavigationState};
 use crate::observation::MapView;
 use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp};
@@ -15,26 +16,6 @@ use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp};
 /// Time without a robot that can be given goals after which a map is given up, seconds: a restart of SLAM and a
 /// relocalization take less.
 const PATIENCE_S: f64 = 60.0;
-
-/// Why an exploration is over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ExplorationEnd {
-    /// Nothing reachable is unknown, and the robots are back.
-    Completed,
-    /// All robots are lost, silent or surrounded by obstacles.
-    NoRobot,
-    /// Nothing reachable is unknown in the part of the map around the robots; the map is larger than what is planned on.
-    MapTooLarge,
-}
-
-/// A leftover with the map that its position is in.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FoundLeftover {
-    /// Robot in whose own map it is; `None`: in the merged map.
-    pub robot: Option<RobotId>,
-    /// What is left there.
-    pub leftover: Leftover,
-}
 
 /// Robots that share a map, with their coordinator.
 #[derive(Clone, Debug)]
@@ -60,6 +41,7 @@ pub struct FleetExploration {
     /// Robots that persons have taken.
     taken: [bool; ROBOTS_MAX],
     availability: [Option<RobotAvailability>; ROBOTS_MAX],
+    lost: LostRobots,
     phase: CoordinationPhase,
     end: Option<ExplorationEnd>,
 }
@@ -74,6 +56,7 @@ impl FleetExploration {
             homes: [None; ROBOTS_MAX],
             taken: [false; ROBOTS_MAX],
             availability: [None; ROBOTS_MAX],
+            lost: LostRobots::default(),
             phase: CoordinationPhase::Exploring,
             end: None,
         }
@@ -120,9 +103,9 @@ impl FleetExploration {
         self.availability[robot.index()]
     }
 
-    /// Whether the navigator's goal of a robot, if it has one, is the exploration's.
+    /// Whether the navigator drives a robot for the exploration, to a goal or to find its place.
     pub fn is_driving(&self, robot: RobotId) -> bool {
-        self.sent[robot.index()].is_some()
+        self.sent[robot.index()].is_some() || self.lost.is_searching(robot)
     }
 
     /// Where a robot was first, in its own map.
@@ -187,6 +170,7 @@ impl FleetExploration {
                 self.explore(navigator, input, Some(robot.robot), map, &[*robot]);
             }
         }
+        self.lost.step(navigator, input, &robots);
         self.conclude(input.stamp);
         self.phase
     }
@@ -256,8 +240,9 @@ impl FleetExploration {
             explored.known_m2 = map.known_m2();
         }
         explored.is_manual = robots.iter().all(|robot| robot.availability == RobotAvailability::Manual);
+        let is_searching = robots.iter().any(|robot| self.lost.is_searching(robot.robot));
         // Persons may keep robots as long as they like.
-        if explored.coordinator.has_explorers() || explored.is_manual {
+        if explored.coordinator.has_explorers() || explored.is_manual || is_searching {
             explored.able_at = input.stamp;
         }
         let frame = if of.is_none() { GoalFrame::MergedMap } else { GoalFrame::RobotMap };
@@ -284,6 +269,7 @@ impl FleetExploration {
 
     /// Cancels all goals that were sent: exploration ends here.
     pub fn stop(&mut self, navigator: &mut FleetNavigator) {
+        self.lost.stop(navigator);
         for (robot, sent) in RobotId::first(ROBOTS_MAX).zip(&mut self.sent) {
             if sent.take().is_some() {
                 navigator.cancel(robot);
@@ -324,74 +310,4 @@ impl FleetExploration {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::navigation::NavigatorConfig;
-    use crate::observation::{BURGER_BASE_FROM_SCAN, MapView, RobotObservation, ScanView};
-    use msg::{Pose2, Stamp};
-
-    /// Free space of 4 m by 4 m in the middle of unknown space.
-    fn cells() -> Vec<i8> {
-        (0..160 * 80).map(|i| if (40..120).contains(&(i % 160)) { 0 } else { -1 }).collect()
-    }
-
-    fn robots<'a>(cells: &'a [i8], count: usize) -> Vec<NavigatedRobot<'a>> {
-        RobotId::first(count)
-            .map(|robot| {
-                let pose = Pose2::new(3.0 + 2.0 * robot.index() as f64, 2.0, 0.0);
-                let scan = ScanView {
-                    received: Stamp(0),
-                    base_from_scan: BURGER_BASE_FROM_SCAN,
-                    angle_min_rad: 0.0,
-                    angle_increment_rad: 0.01,
-                    range_min_m: 0.12,
-                    range_max_m: 3.5,
-                    ranges_m: &[3.5],
-                };
-                let observation = RobotObservation {
-                    robot,
-                    map: MapView::from_percent(Pose2::IDENTITY, 0.05, (160, 80), cells),
-                    in_merged_map: true,
-                    map_from_base: Some(pose),
-                    scan: Some(scan),
-                };
-                NavigatedRobot { observation, odom_from_base: Some(pose), map_from_robot_map: None }
-            })
-            .collect()
-    }
-
-    #[test]
-    fn the_navigator_drives_to_the_coordinators_goals_until_exploration_stops() {
-        let cells = cells();
-        let robots = robots(&cells, 2);
-        let mut navigator = FleetNavigator::new(NavigatorConfig::default());
-        let mut exploration = FleetExploration::new(CoordinationConfig::default());
-        let input = NavigationInput { stamp: Stamp(0), robots: &robots, exclusion_zones: &[] };
-        let phase = exploration.step(&mut navigator, &input, &|_| false);
-        assert_eq!(phase, CoordinationPhase::Exploring);
-        navigator.step(&input);
-        assert_eq!(navigator.robots().filter(|robot| robot.state.is_active()).count(), 2);
-        exploration.stop(&mut navigator);
-        navigator.step(&input);
-        assert!(!navigator.is_active());
-    }
-
-    #[test]
-    fn robots_that_are_dead_or_in_a_persons_hands_get_no_goals() {
-        let cells = cells();
-        let robots = robots(&cells, 2);
-        let second = robots[1].observation.robot;
-        let mut navigator = FleetNavigator::new(NavigatorConfig::default());
-        let mut exploration = FleetExploration::new(CoordinationConfig::default());
-        let input = NavigationInput { stamp: Stamp(0), robots: &robots, exclusion_zones: &[] };
-        exploration.step(&mut navigator, &input, &|robot| robot == second);
-        assert_eq!(
-            navigator.robots().map(|robot| robot.robot).collect::<Vec<_>>(),
-            [robots[0].observation.robot]
-        );
-        navigator.pause(robots[0].observation.robot);
-        let later = NavigationInput { stamp: Stamp::from_seconds(5.0), ..input };
-        exploration.step(&mut navigator, &later, &|robot| robot == second);
-        assert_eq!(navigator.robots().next().map(|robot| robot.state), Some(NavigationState::Paused));
-    }
-}
+mod tests;

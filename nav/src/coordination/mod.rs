@@ -19,6 +19,7 @@ mod fleet_exploration;
 mod floor;
 mod growth;
 mod leftovers;
+mod lost_robots;
 mod plan;
 mod seen;
 mod sensor;
@@ -28,12 +29,12 @@ mod types;
 mod views;
 
 pub use config::CoordinationConfig;
-pub use fleet_exploration::{ExplorationEnd, FleetExploration, FoundLeftover};
+pub use fleet_exploration::FleetExploration;
 pub use leftovers::Leftover;
 pub use msg::LeftoverReason;
 pub use types::{
-    CoordinatedRobot, CoordinationInput, CoordinationPhase, GoalProgress, GoalPurpose, RobotAvailability,
-    RobotGoal, TimeEstimate,
+    CoordinatedRobot, CoordinationInput, CoordinationPhase, ExplorationEnd, FoundLeftover, GoalProgress,
+    GoalPurpose, RobotAvailability, RobotGoal, TimeEstimate,
 };
 
 use crate::clearance_map::ClearanceMap;

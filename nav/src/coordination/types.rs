@@ -1,5 +1,6 @@
 //! What a coordinator is told, and what it answers.
 
+use super::Leftover;
 use crate::observation::MapView;
 use msg::{Pose2, RobotId, Stamp};
 
@@ -48,6 +49,26 @@ pub struct CoordinatedRobot {
     pub availability: RobotAvailability,
     /// What it does with its goal.
     pub progress: GoalProgress,
+}
+
+/// Why an exploration is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ExplorationEnd {
+    /// Nothing reachable is unknown, and the robots are back.
+    Completed,
+    /// All robots are lost, silent or surrounded by obstacles.
+    NoRobot,
+    /// Nothing reachable is unknown in the part of the map around the robots; the map is larger than what is planned on.
+    MapTooLarge,
+}
+
+/// A leftover with the map that its position is in.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FoundLeftover {
+    /// Robot in whose own map it is; `None`: in the merged map.
+    pub robot: Option<RobotId>,
+    /// What is left there.
+    pub leftover: Leftover,
 }
 
 /// The fleet at one moment.

@@ -1,6 +1,7 @@
 //! Navigation of one robot: its goal, its routes, its path, and the velocity that follows it.
 
 mod arrival;
+mod place_search;
 mod routes;
 mod safety;
 
@@ -18,6 +19,7 @@ use crate::follower::PathFollower;
 use crate::observation::ScanView;
 use crate::path::Path;
 use msg::{Pose2, RobotId, Stamp};
+use place_search::PlaceSearch;
 
 /// Waypoints after a wait to which a waiting robot turns: 0.2 m on maps of 0.05 m.
 const FACED_WAYPOINTS: usize = 3;
@@ -74,6 +76,7 @@ pub(super) struct RobotNavigator {
     plans: u32,
     remaining_m: Option<f64>,
     recovery: Option<Recovery>,
+    place_search: Option<PlaceSearch>,
     is_stop_due: bool,
     /// The robot that it waited for last, since it made progress or something else stopped it.
     waited_for: Option<RobotId>,
@@ -98,6 +101,7 @@ impl RobotNavigator {
             plans: 0,
             remaining_m: None,
             recovery: None,
+            place_search: None,
             is_stop_due: false,
             waited_for: None,
             standstill: Standstill::default(),
@@ -143,6 +147,7 @@ impl RobotNavigator {
 
     pub(super) fn set_goal(&mut self, now: Stamp, goal: NavigationGoal) {
         self.drop_path();
+        self.place_search = None;
         let progress = match &self.goal {
             // A robot that cannot get away is helped, however often its goal changes.
             Some(replaced) if self.state.is_active() => {
@@ -160,6 +165,7 @@ impl RobotNavigator {
 
     /// Ends the goal in this state.
     pub(super) fn end(&mut self, state: NavigationState) {
+        self.end_place_search(state);
         if self.goal.take().is_some() {
             self.drop_path();
             self.goal_map.clear();
@@ -168,6 +174,7 @@ impl RobotNavigator {
     }
 
     pub(super) fn pause(&mut self) {
+        self.end_place_search(NavigationState::Idle);
         if self.state.is_active() {
             self.drop_path();
             self.state = NavigationState::Paused;
@@ -260,6 +267,9 @@ impl RobotNavigator {
         robot: &NavigatedRobot,
         others: &[OtherRobot],
     ) -> Option<Twist> {
+        if let Some(twist) = self.search_place(now, robot) {
+            return Some(twist);
+        }
         if !self.state.is_active() {
             return std::mem::take(&mut self.is_stop_due).then_some(Twist::STOP);
         }

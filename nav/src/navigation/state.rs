@@ -19,6 +19,8 @@ pub enum NavigationState {
     Blocked(NavigationFailure),
     /// It backs up or turns to get free.
     Recovering,
+    /// It does not know where it is, and looks for its place: it turns, then drives by its LiDAR alone.
+    FindingPlace,
     /// A person drives the robot or has stopped it; the goal waits for [`resume`](super::FleetNavigator::resume).
     Paused,
     /// It has arrived.
@@ -30,11 +32,16 @@ pub enum NavigationState {
 }
 
 impl NavigationState {
-    /// Whether a goal is being pursued.
+    /// Whether the robot is driven, to a goal or to find its place.
     pub fn is_active(self) -> bool {
         matches!(
             self,
-            Self::Planning | Self::Driving | Self::WaitingForRobot(_) | Self::Blocked(_) | Self::Recovering
+            Self::Planning
+                | Self::Driving
+                | Self::WaitingForRobot(_)
+                | Self::Blocked(_)
+                | Self::Recovering
+                | Self::FindingPlace
         )
     }
 }

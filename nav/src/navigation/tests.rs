@@ -1,6 +1,7 @@
 //! Robots that drive to goals in the test world.
 
 mod fleet;
+mod place_search;
 
 use super::*;
 use crate::observation::{BURGER_BASE_FROM_SCAN, MapView, RobotObservation, ScanView};
@@ -19,6 +20,8 @@ pub(super) struct Drive {
     pub(super) steps: u64,
     pub(super) map_from_world: Pose2,
     pub(super) in_merged_map: bool,
+    /// Whether the robots know where they are.
+    pub(super) knows_poses: bool,
     pub(super) zones: Vec<ExclusionZone>,
 }
 
@@ -30,6 +33,7 @@ impl Drive {
             steps: 0,
             map_from_world: Pose2::IDENTITY,
             in_merged_map: true,
+            knows_poses: true,
             zones: Vec::new(),
         }
     }
@@ -62,7 +66,7 @@ impl Drive {
                     robot: id(i + 1),
                     map: view,
                     in_merged_map: self.in_merged_map,
-                    map_from_base: Some(self.map_from_world * self.world.pose(i)),
+                    map_from_base: self.knows_poses.then(|| self.map_from_world * self.world.pose(i)),
                     scan: Some(scan(&self.world, i, now)),
                 },
                 // The frame of the wheels lies anywhere.

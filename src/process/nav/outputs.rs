@@ -14,6 +14,10 @@ const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 /// Waypoints to a point of the published plan: one each 0.1 m on maps of 0.05 m.
 const PLAN_STRIDE: usize = 2;
 
+/// What a robot does that has no pose in its map.
+const FINDING_PLACE: &str =
+    "the robot does not know where it is: it turns, then drives by its LiDAR until SLAM finds its place";
+
 /// State, number of the goal, and next pose.
 type Reported = (NavigationState, u64, Option<usize>);
 
@@ -115,6 +119,10 @@ fn report(stamp: Stamp, decision: &Decision) -> NavigationReport {
             NavigationStatus::Blocked
         }
         NavigationState::Recovering => NavigationStatus::Recovering,
+        NavigationState::FindingPlace => {
+            report.set_reason(FINDING_PLACE);
+            NavigationStatus::Recovering
+        }
         NavigationState::Paused => {
             report.set_reason("a person drives or has stopped the robot; resume, or send a new goal");
             NavigationStatus::Paused

@@ -1,0 +1,97 @@
+//! Goals that an exploration gives and takes away.
+
+use super::*;
+use crate::navigation::NavigatorConfig;
+use crate::observation::{BURGER_BASE_FROM_SCAN, MapView, RobotObservation, ScanView};
+use msg::{Pose2, Stamp};
+
+/// Free space of 4 m by 4 m in the middle of unknown space.
+fn cells() -> Vec<i8> {
+    (0..160 * 80).map(|i| if (40..120).contains(&(i % 160)) { 0 } else { -1 }).collect()
+}
+
+fn robots<'a>(cells: &'a [i8], count: usize) -> Vec<NavigatedRobot<'a>> {
+    RobotId::first(count)
+        .map(|robot| {
+            let pose = Pose2::new(3.0 + 2.0 * robot.index() as f64, 2.0, 0.0);
+            let scan = ScanView {
+                received: Stamp(0),
+                base_from_scan: BURGER_BASE_FROM_SCAN,
+                angle_min_rad: 0.0,
+                angle_increment_rad: 0.01,
+                range_min_m: 0.12,
+                range_max_m: 3.5,
+                ranges_m: &[3.5],
+            };
+            let observation = RobotObservation {
+                robot,
+                map: MapView::from_percent(Pose2::IDENTITY, 0.05, (160, 80), cells),
+                in_merged_map: true,
+                map_from_base: Some(pose),
+                scan: Some(scan),
+            };
+            NavigatedRobot { observation, odom_from_base: Some(pose), map_from_robot_map: None }
+        })
+        .collect()
+}
+
+#[test]
+fn the_navigator_drives_to_the_coordinators_goals_until_exploration_stops() {
+    let cells = cells();
+    let robots = robots(&cells, 2);
+    let mut navigator = FleetNavigator::new(NavigatorConfig::default());
+    let mut exploration = FleetExploration::new(CoordinationConfig::default());
+    let input = NavigationInput { stamp: Stamp(0), robots: &robots, exclusion_zones: &[] };
+    let phase = exploration.step(&mut navigator, &input, &|_| false);
+    assert_eq!(phase, CoordinationPhase::Exploring);
+    navigator.step(&input);
+    assert_eq!(navigator.robots().filter(|robot| robot.state.is_active()).count(), 2);
+    exploration.stop(&mut navigator);
+    navigator.step(&input);
+    assert!(!navigator.is_active());
+}
+
+#[test]
+fn robots_that_are_dead_or_in_a_persons_hands_get_no_goals() {
+    let cells = cells();
+    let robots = robots(&cells, 2);
+    let second = robots[1].observation.robot;
+    let mut navigator = FleetNavigator::new(NavigatorConfig::default());
+    let mut exploration = FleetExploration::new(CoordinationConfig::default());
+    let input = NavigationInput { stamp: Stamp(0), robots: &robots, exclusion_zones: &[] };
+    exploration.step(&mut navigator, &input, &|robot| robot == second);
+    assert_eq!(
+        navigator.robots().map(|robot| robot.robot).collect::<Vec<_>>(),
+        [robots[0].observation.robot]
+    );
+    navigator.pause(robots[0].observation.robot);
+    let later = NavigationInput { stamp: Stamp::from_seconds(5.0), ..input };
+    exploration.step(&mut navigator, &later, &|robot| robot == second);
+    assert_eq!(navigator.robots().next().map(|robot| robot.state), Some(NavigationState::Paused));
+}
+
+#[test]
+fn a_robot_that_stays_lost_looks_for_its_place_once() {
+    let cells = cells();
+    let mut robots = robots(&cells, 2);
+    robots[1].observation.map_from_base = None;
+    let lost = robots[1].observation.robot;
+    let mut navigator = FleetNavigator::new(NavigatorConfig::default());
+    let mut exploration = FleetExploration::new(CoordinationConfig::default());
+    let mut states = Vec::new();
+    for second in 0..200 {
+        let stamp = Stamp::from_seconds(f64::from(second));
+        for robot in &mut robots {
+            robot.observation.scan.as_mut().unwrap().received = stamp;
+        }
+        let input = NavigationInput { stamp, robots: &robots, exclusion_zones: &[] };
+        exploration.step(&mut navigator, &input, &|_| false);
+        navigator.step(&input);
+        states.push(navigator.robots().find(|robot| robot.robot == lost).map(|robot| robot.state));
+    }
+    let finds = |state: &&Option<NavigationState>| **state == Some(NavigationState::FindingPlace);
+    assert_eq!(states.iter().position(|state| finds(&state)), Some(10), "not at once");
+    let seconds = states.iter().filter(finds).count();
+    assert!((119..=122).contains(&seconds), "two minutes: {seconds} s");
+    assert!(!exploration.is_driving(lost));
+}

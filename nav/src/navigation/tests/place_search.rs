@@ -1,0 +1,80 @@
+//! Robots that do not know where they are, and look for their place.
+
+use super::{Drive, id};
+use crate::command::Twist;
+use crate::navigation::{NavigationFailure, NavigationState};
+use crate::test_world::TestWorld;
+use msg::ExclusionZone;
+
+fn lost(seed: u64) -> Drive {
+    let mut drive = Drive::new(TestWorld::new(1, seed));
+    drive.knows_poses = false;
+    drive.navigator.find_place(drive.now(), id(1));
+    drive
+}
+
+fn twist(drive: &Drive) -> Option<Twist> {
+    drive.navigator.robots().next().unwrap().twist
+}
+
+#[test]
+fn a_lost_robot_looks_around_then_drives_by_its_lidar_and_gives_up_in_the_end() {
+    for seed in 0..8 {
+        let mut drive = lost(seed);
+        let start = drive.world.pose(0);
+        drive.run_until(5.0, |_| false);
+        assert!(drive.world.pose(0).distance_m(start) < 0.05, "it turns first");
+        let left = drive.run_until(100.0, |drive| drive.world.pose(0).distance_m(start) > 1.0);
+        assert!(left.is_some(), "seed {seed}: still at {:?}", drive.world.pose(0));
+        assert_eq!(drive.state(1), NavigationState::FindingPlace);
+        drive.run_until(120.0, |drive| !drive.navigator.is_active());
+        assert_eq!(drive.state(1), NavigationState::Failed(NavigationFailure::NoPose));
+        assert_eq!(twist(&drive), Some(Twist::STOP));
+        assert_eq!(drive.world.bumps(), 0, "seed {seed}");
+        drive.step();
+        assert_eq!(twist(&drive), None);
+    }
+}
+
+#[test]
+fn the_search_ends_when_the_pose_is_known() {
+    let mut drive = lost(1);
+    drive.run_until(20.0, |_| false);
+    drive.knows_poses = true;
+    drive.step();
+    assert_eq!((drive.state(1), twist(&drive)), (NavigationState::Idle, Some(Twist::STOP)));
+}
+
+#[test]
+fn a_robot_that_cannot_keep_out_of_zones_stands() {
+    let mut drive = lost(1);
+    drive.run_until(1.0, |_| false);
+    drive.zones = vec![ExclusionZone::new(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]).unwrap()];
+    drive.step();
+    assert_eq!(drive.state(1), NavigationState::Failed(NavigationFailure::NoPose));
+    assert_eq!(twist(&drive), Some(Twist::STOP));
+}
+
+#[test]
+fn people_and_goals_end_the_search() {
+    for end in [Drive::pause_first, |drive: &mut Drive| drive.navigator.cancel(id(1))] {
+        let mut drive = lost(1);
+        drive.run_until(20.0, |_| false);
+        end(&mut drive);
+        drive.step();
+        assert!(!drive.navigator.is_active());
+        assert_eq!(twist(&drive), Some(Twist::STOP));
+    }
+    let mut drive = lost(1);
+    drive.run_until(20.0, |_| false);
+    drive.go(1, [5.2, 7.2]);
+    drive.step();
+    assert_eq!(drive.state(1), NavigationState::Blocked(NavigationFailure::NoPose));
+    assert_eq!(twist(&drive), Some(Twist::STOP));
+}
+
+impl Drive {
+    fn pause_first(&mut self) {
+        self.navigator.pause(id(1));
+    }
+}
