@@ -138,8 +138,8 @@ impl FleetNavigator {
         self.of(robot).for_each(|navigator| navigator.resume(now));
     }
 
-    /// Has a robot that does not know where it is look for its place, in place of a goal: it turns once, then drives by its LiDAR
-    /// alone for two minutes at most. The search ends when its pose is known; and at once if there are exclusion zones, because it
+    /// Has a robot that does not know where it is look for its place, in place of a goal: it turns and drives by its LiDAR alone for
+    /// two minutes at most. The search ends when its pose is known; and at once if there are exclusion zones, because it
     /// cannot keep out of them.
     pub fn find_place(&mut self, now: Stamp, robot: RobotId) {
         self.of_or_new(robot).find_place(now);
