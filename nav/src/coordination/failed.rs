@@ -9,6 +9,8 @@ use std::collections::VecDeque;
 const SAME_M: f64 = 0.5;
 /// Time for which the robot does not try a place again, seconds: robots that stand around it leave meanwhile.
 const RETRY_S: f64 = 20.0;
+/// Places that were occupied count as given up once for so many times: who stood there may have left.
+const OCCUPIED_TIMES: u32 = 4;
 /// Most places of a robot; the oldest is forgotten.
 const PLACES_MAX: usize = 32;
 
@@ -16,6 +18,7 @@ const PLACES_MAX: usize = 32;
 struct FailedPlace {
     place_m: [f64; 2],
     at: Stamp,
+    /// How often the robot gave it up, in parts of [`OCCUPIED_TIMES`].
     count: u32,
 }
 
@@ -26,11 +29,20 @@ pub(super) struct FailedGoals(VecDeque<FailedPlace>);
 impl FailedGoals {
     /// Records that the robot gave a place up; returns how often it has.
     pub(super) fn record(&mut self, at: Stamp, place_m: [f64; 2]) -> u32 {
+        self.add(at, place_m, OCCUPIED_TIMES)
+    }
+
+    /// Records that something stands at a place, which the robot leaves alone for a while; returns how often it gave it up.
+    pub(super) fn record_occupied(&mut self, at: Stamp, place_m: [f64; 2]) -> u32 {
+        self.add(at, place_m, 1)
+    }
+
+    fn add(&mut self, at: Stamp, place_m: [f64; 2], parts: u32) -> u32 {
         let known = self.0.iter().position(|failed| distance_m(failed.place_m, place_m) < SAME_M);
         let before = known.and_then(|index| self.0.remove(index)).map_or(0, |failed| failed.count);
-        let count = before.saturating_add(1);
+        let count = before.saturating_add(parts);
         push_bounded(&mut self.0, FailedPlace { place_m, at, count }, PLACES_MAX);
-        count
+        count / OCCUPIED_TIMES
     }
 
     /// Whether the robot gave a place up a short time ago.
@@ -51,6 +63,9 @@ mod tests {
         assert!(failed.is_avoided(at(20.0), [2.1, 0.1]) && !failed.is_avoided(at(22.0), [2.1, 0.1]));
         assert!(!failed.is_avoided(at(2.0), [3.0, 0.0]), "another place");
         assert_eq!(failed.record(at(30.0), [2.2, 0.0]), 2);
+        let occupied = [(); 4].map(|()| failed.record_occupied(at(30.0), [2.2, 0.0]));
+        assert_eq!(occupied, [2, 2, 2, 3]);
+        assert!(failed.is_avoided(at(45.0), [2.2, 0.0]));
         (0..2 * PLACES_MAX).for_each(|place| _ = failed.record(at(31.0), [10.0 + place as f64, 0.0]));
         assert_eq!(failed.0.len(), PLACES_MAX);
     }

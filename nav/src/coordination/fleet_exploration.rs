@@ -148,8 +148,11 @@ impl FleetExploration {
         input: &NavigationInput,
         is_silent: &dyn Fn(RobotId) -> bool,
     ) -> CoordinationPhase {
-        let robots: Vec<CoordinatedRobot> =
-            input.robots.iter().map(|robot| self.describe(navigator, robot, is_silent)).collect();
+        let robots: Vec<CoordinatedRobot> = input
+            .robots
+            .iter()
+            .map(|robot| self.describe(navigator, (input.stamp, robot), is_silent))
+            .collect();
         let merged = |robot: &NavigatedRobot| robot.observation.in_merged_map;
         self.maps.retain(|map| {
             let is_of = |robot: &&NavigatedRobot| map.robot == Some(robot.observation.robot);
@@ -179,7 +182,7 @@ impl FleetExploration {
     fn describe(
         &mut self,
         navigator: &FleetNavigator,
-        robot: &NavigatedRobot,
+        (now, robot): (Stamp, &NavigatedRobot),
         is_silent: &dyn Fn(RobotId) -> bool,
     ) -> CoordinatedRobot {
         let id = robot.observation.robot;
@@ -196,12 +199,8 @@ impl FleetExploration {
             _ if pose.is_none() => RobotAvailability::Lost,
             _ => RobotAvailability::Free,
         };
-        let progress = match state.filter(|_| self.sent[id.index()].is_some()) {
-            None | Some(NavigationState::Idle) => GoalProgress::Idle,
-            Some(NavigationState::Reached) => GoalProgress::Reached,
-            Some(NavigationState::Failed(_) | NavigationState::Cancelled) => GoalProgress::Failed,
-            Some(_) => GoalProgress::Active,
-        };
+        let sent = self.sent[id.index()].as_mut().zip(state);
+        let progress = sent.map_or(GoalProgress::Idle, |(sent, state)| sent.progress(now, state));
         self.availability[id.index()] = Some(availability);
         let home = map_from_robot_map.zip(self.homes[id.index()]).map(|(map, home)| map * home);
         CoordinatedRobot { robot: id, map_from_base: pose, home, availability, progress }
@@ -301,7 +300,7 @@ impl FleetExploration {
         if sent.as_ref().is_some_and(is_same) && !robot.progress.has_ended() {
             return;
         }
-        let new = SentGoal { frame, goal };
+        let new = SentGoal { frame, goal, occupied_since: None };
         if let Ok(navigation_goal) = new.to_navigation() {
             navigator.set_goal(now, robot.robot, navigation_goal);
             *sent = Some(new);

@@ -232,14 +232,15 @@ impl FleetCoordinator {
             }
             let look = self.records[index].look.take();
             let Some(goal) = self.goals[index].take() else { continue };
+            let (stamp, place_m, failed) = (input.stamp, goal.position_m, &mut self.records[index].failed);
             let failures = match progress {
-                GoalProgress::Failed => self.records[index].failed.record(input.stamp, goal.position_m),
-                _ => 0,
+                GoalProgress::Failed => Some(failed.record(stamp, place_m)),
+                GoalProgress::Occupied => Some(failed.record_occupied(stamp, place_m)),
+                _ => None,
             };
             // What a robot gave up once, others may reach.
-            if goal.purpose == GoalPurpose::Explore && failures != 1 {
-                let looked =
-                    (failures == 0).then(|| self.directions_seen(index, goal.position_m, look, pose));
+            if goal.purpose == GoalPurpose::Explore && failures.is_none_or(|failures| failures > 1) {
+                let looked = failures.is_none().then(|| self.directions_seen(index, place_m, look, pose));
                 self.record_attempt(input, goal.position_m, looked);
             }
             if goal.purpose == GoalPurpose::Home {

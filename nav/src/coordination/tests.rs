@@ -58,6 +58,26 @@ fn only_free_robots_get_goals_and_the_others_tasks_pass_on() {
 }
 
 #[test]
+fn a_goal_at_which_something_stands_is_left_alone_for_a_while() {
+    let cells = cells();
+    let mut robots = [robot(1, 5.8, 2.0)];
+    let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+    coordinator.update(&input(&cells, &robots, 0.0));
+    let first_m = coordinator.goal(robots[0].robot).unwrap().position_m;
+    robots[0].progress = GoalProgress::Occupied;
+    coordinator.update(&input(&cells, &robots, 2.0));
+    let other_m = coordinator.goal(robots[0].robot).unwrap().position_m;
+    assert!(distance_m(first_m, other_m) >= 0.5, "{first_m:?} {other_m:?}");
+    robots[0].progress = GoalProgress::Failed;
+    coordinator.update(&input(&cells, &robots, 4.0));
+    // Both doors were left alone; the first one is looked at again later, since it was not seen in vain.
+    robots[0].progress = GoalProgress::Idle;
+    coordinator.update(&input(&cells, &robots, 40.0));
+    assert_eq!(coordinator.phase(), CoordinationPhase::Exploring);
+    assert!(coordinator.goal(robots[0].robot).is_some());
+}
+
+#[test]
 fn what_is_never_seen_is_given_up_and_robots_go_home() {
     let cells = cells();
     let mut robots = [robot(1, 5.8, 2.0)];

@@ -28,11 +28,13 @@ pub enum GoalProgress {
     Reached,
     /// It gave up.
     Failed,
+    /// It stands because its scans show something at the goal that the map does not.
+    Occupied,
 }
 
 impl GoalProgress {
     pub(super) fn has_ended(self) -> bool {
-        matches!(self, Self::Reached | Self::Failed)
+        matches!(self, Self::Reached | Self::Failed | Self::Occupied)
     }
 }
 
