@@ -3,7 +3,7 @@
 //! All views borrow, so that they can be laid over ROS messages and over `msg` types alike.
 
 use msg::grid::{self, CELLS_MAX, Occupancy};
-use msg::{GridView, Pose2, RobotId, Stamp};
+use msg::{GridView, Pose2, RobotId, Stamp, pose::wrap_angle};
 
 /// Angle from which a sensor sees all around, so that no heading matters, radians: 354 degrees.
 pub(crate) const ALL_AROUND_RAD: f64 = core::f64::consts::TAU - 0.1;
@@ -170,6 +170,17 @@ impl<'a> ScanView<'a> {
         self.angle_increment_rad.abs() * self.ranges_m.len() as f64 >= ALL_AROUND_RAD
     }
 
+    /// Whether at least half of the beams within an angle of straight ahead are valid. A covered LiDAR has none, and an obstacle nearer
+    /// than its shortest range shows as invalid beams.
+    pub fn sees_ahead(&self, within_rad: f64) -> bool {
+        let yaw_rad = self.base_from_scan.yaw_rad;
+        let is_ahead = |angle_rad: f64| wrap_angle(angle_rad + yaw_rad).abs() <= within_rad;
+        let valid = self.beams().filter(|beam| is_ahead(beam.angle_rad)).count();
+        let count = self.ranges_m.len().min(msg::BEAMS_MAX);
+        let angles = (0..count).map(|i| self.angle_min_rad + i as f64 * self.angle_increment_rad);
+        valid > 0 && 2 * valid >= angles.filter(|angle_rad| is_ahead(*angle_rad)).count()
+    }
+
     /// Positions of the obstacles hit, in `base_footprint`, metres.
     pub fn hits_in_base_m(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
         let base_from_scan = self.base_from_scan;
@@ -246,5 +257,9 @@ mod tests {
         let beams: Vec<(f64, bool)> = scan.beams().map(|beam| (beam.range_m, beam.is_hit)).collect();
         assert_eq!(beams, [(3.5, false), (0.12, true), (1.0, true), (3.5, false)]);
         assert_eq!(ScanView { angle_increment_rad: f64::NAN, ..scan }.beams().count(), 0);
+        assert!(scan.sees_ahead(0.25), "two of the first three beams");
+        assert!(!scan.sees_ahead(0.05), "the first alone");
+        let behind = Pose2::new(0.0, 0.0, core::f64::consts::PI);
+        assert!(!ScanView { base_from_scan: behind, ..scan }.sees_ahead(0.5), "the sensor looks back");
     }
 }

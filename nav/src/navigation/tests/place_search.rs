@@ -1,8 +1,9 @@
 //! Robots that do not know where they are, and look for their place.
 
-use super::{Drive, id};
+use super::{Drive, id, scan};
 use crate::command::Twist;
-use crate::navigation::{NavigationFailure, NavigationState};
+use crate::navigation::{NavigatedRobot, NavigationFailure, NavigationInput, NavigationState};
+use crate::observation::ScanView;
 use crate::test_world::TestWorld;
 use msg::ExclusionZone;
 
@@ -34,6 +35,21 @@ fn a_lost_robot_looks_around_then_drives_by_its_lidar_and_gives_up_in_the_end() 
         drive.step();
         assert_eq!(twist(&drive), None);
     }
+}
+
+#[test]
+fn a_robot_whose_lidar_is_covered_does_not_drive() {
+    let mut drive = lost(1);
+    for _ in 0..600 {
+        drive.steps += 1;
+        let now = drive.now();
+        let mut robot = NavigatedRobot::unknown(id(1));
+        let covered = [0.0; 180];
+        robot.observation.scan = Some(ScanView { ranges_m: &covered, ..scan(&drive.world, 0, now) });
+        drive.navigator.step(&NavigationInput { stamp: now, robots: &[robot], exclusion_zones: &[] });
+        assert_eq!(twist(&drive).unwrap().linear_m_s, 0.0);
+    }
+    assert_eq!(drive.state(1), NavigationState::FindingPlace);
 }
 
 #[test]
