@@ -6,8 +6,9 @@ const PROTOCOLS = ["foxglove.sdk.v1.1", "foxglove.sdk.v1"];
 const MESSAGE = 1;
 /** Bytes before the payload: kind, subscription, time. */
 const MESSAGE_HEADER_BYTES = 13;
-/** Pause before the next attempt to connect, ms. */
-const RECONNECT_MS = 500;
+/** Pauses before the next attempt to connect, ms: after a connection that broke, and after an attempt that failed. */
+const RECONNECT_BROKEN_MS = 100;
+const RECONNECT_FAILED_MS = 500;
 /** An attempt to connect that takes longer is given up, ms: after a lost packet it would take many seconds. */
 const CONNECT_MAX_MS = 2000;
 /** The parameter with the run's time, seconds. */
@@ -73,10 +74,11 @@ export class Connection {
   }
 
   closed() {
+    const pauseMs = this.isOpen ? RECONNECT_BROKEN_MS : RECONNECT_FAILED_MS;
     this.isOpen = false;
     this.socket = null;
     this.handlers.state?.(false);
-    setTimeout(() => this.connect(), RECONNECT_MS);
+    setTimeout(() => this.connect(), pauseMs);
   }
 
   /** Asks for the run's time, and gives up a connection on which nothing comes any more. Call it once a second. */
