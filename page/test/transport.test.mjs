@@ -118,14 +118,14 @@ test("a subscription that is ended can be made again", () => {
   assert.notEqual(socket.commands("subscribe")[1].subscriptions[0].id, id);
 });
 
-test("a socket that breaks every 30 s is opened after the same half second each time", (t) => {
+test("a socket that breaks every 30 s is opened after the same tenth of a second each time", (t) => {
   t.mock.timers.enable({ apis: ["setTimeout"] });
   const { connection } = open();
   connection.subscribe("/robot1/scan");
   for (let round = 1; round <= 10; round += 1) {
     t.mock.timers.tick(30_000);
     FakeSocket.all.at(-1).onclose();
-    t.mock.timers.tick(499);
+    t.mock.timers.tick(99);
     assert.equal(FakeSocket.all.length, round);
     t.mock.timers.tick(1);
     const again = FakeSocket.all[round];
@@ -133,6 +133,17 @@ test("a socket that breaks every 30 s is opened after the same half second each 
     again.receive(ADVERTISE);
     assert.equal(again.commands("subscribe").length, 1);
   }
+});
+
+test("after an attempt that failed the next one is made after half a second", (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  FakeSocket.all = [];
+  new Connection("ws://localhost:8080/", { message() {} }, FakeSocket);
+  FakeSocket.all[0].onclose();
+  t.mock.timers.tick(499);
+  assert.equal(FakeSocket.all.length, 1);
+  t.mock.timers.tick(1);
+  assert.equal(FakeSocket.all.length, 2);
 });
 
 test("an attempt to connect that hangs is given up, and another one is made", (t) => {
