@@ -6,9 +6,11 @@ const PROTOCOLS = ["foxglove.sdk.v1.1", "foxglove.sdk.v1"];
 const MESSAGE = 1;
 /** Bytes before the payload: kind, subscription, time. */
 const MESSAGE_HEADER_BYTES = 13;
-/** Pauses before the next attempt to connect, ms: after a connection that broke, and after an attempt that failed. */
+/** Pauses before the next attempt to connect, ms: after a connection that lasted, and after any other attempt. */
 const RECONNECT_BROKEN_MS = 100;
 const RECONNECT_FAILED_MS = 500;
+/** A connection that breaks sooner, ms, counts as an attempt that failed: a bridge may accept and refuse at once. */
+const LASTED_MS = 1000;
 /** An attempt to connect that takes longer is given up, ms: after a lost packet it would take many seconds. */
 const CONNECT_MAX_MS = 2000;
 /** The parameter with the run's time, seconds. */
@@ -74,7 +76,8 @@ export class Connection {
   }
 
   closed() {
-    const pauseMs = this.isOpen ? RECONNECT_BROKEN_MS : RECONNECT_FAILED_MS;
+    const hasLasted = this.isOpen && performance.now() - this.begunAt >= LASTED_MS;
+    const pauseMs = hasLasted ? RECONNECT_BROKEN_MS : RECONNECT_FAILED_MS;
     this.isOpen = false;
     this.socket = null;
     this.handlers.state?.(false);

@@ -124,6 +124,7 @@ test("a socket that breaks every 30 s is opened after the same tenth of a second
   connection.subscribe("/robot1/scan");
   for (let round = 1; round <= 10; round += 1) {
     t.mock.timers.tick(30_000);
+    connection.begunAt -= 30_000;
     FakeSocket.all.at(-1).onclose();
     t.mock.timers.tick(99);
     assert.equal(FakeSocket.all.length, round);
@@ -133,6 +134,16 @@ test("a socket that breaks every 30 s is opened after the same tenth of a second
     again.receive(ADVERTISE);
     assert.equal(again.commands("subscribe").length, 1);
   }
+});
+
+test("a bridge that accepts and refuses at once is asked twice a second", (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  const { connection } = open();
+  FakeSocket.all.at(-1).onclose();
+  t.mock.timers.tick(499);
+  assert.deepEqual([connection.isOpen, FakeSocket.all.length], [false, 1]);
+  t.mock.timers.tick(1);
+  assert.equal(FakeSocket.all.length, 2);
 });
 
 test("after an attempt that failed the next one is made after half a second", (t) => {

@@ -9,8 +9,8 @@ use std::collections::VecDeque;
 const SAME_M: f64 = 0.5;
 /// Time for which the robot does not try a place again, seconds: robots that stand around it leave meanwhile.
 const RETRY_S: f64 = 20.0;
-/// Places that were occupied count as given up once for so many times: who stood there may have left.
-const OCCUPIED_TIMES: u32 = 4;
+/// Times that something stood at a place which count as one failure: who stood there may have left.
+const OCCUPIED_PER_FAILURE: u32 = 4;
 /// Most places of a robot; the oldest is forgotten.
 const PLACES_MAX: usize = 32;
 
@@ -18,8 +18,8 @@ const PLACES_MAX: usize = 32;
 struct FailedPlace {
     place_m: [f64; 2],
     at: Stamp,
-    /// How often the robot gave it up, in parts of [`OCCUPIED_TIMES`].
-    count: u32,
+    /// Times that something stood there, where a failure counts as [`OCCUPIED_PER_FAILURE`] of them.
+    occupied_times: u32,
 }
 
 /// Places that one robot gave up, the newest last.
@@ -29,7 +29,7 @@ pub(super) struct FailedGoals(VecDeque<FailedPlace>);
 impl FailedGoals {
     /// Records that the robot gave a place up; returns how often it has.
     pub(super) fn record(&mut self, at: Stamp, place_m: [f64; 2]) -> u32 {
-        self.add(at, place_m, OCCUPIED_TIMES)
+        self.add(at, place_m, OCCUPIED_PER_FAILURE)
     }
 
     /// Records that something stands at a place, which the robot leaves alone for a while; returns how often it gave it up.
@@ -37,12 +37,12 @@ impl FailedGoals {
         self.add(at, place_m, 1)
     }
 
-    fn add(&mut self, at: Stamp, place_m: [f64; 2], parts: u32) -> u32 {
+    fn add(&mut self, at: Stamp, place_m: [f64; 2], times: u32) -> u32 {
         let known = self.0.iter().position(|failed| distance_m(failed.place_m, place_m) < SAME_M);
-        let before = known.and_then(|index| self.0.remove(index)).map_or(0, |failed| failed.count);
-        let count = before.saturating_add(parts);
-        push_bounded(&mut self.0, FailedPlace { place_m, at, count }, PLACES_MAX);
-        count / OCCUPIED_TIMES
+        let before = known.and_then(|index| self.0.remove(index)).map_or(0, |failed| failed.occupied_times);
+        let occupied_times = before.saturating_add(times);
+        push_bounded(&mut self.0, FailedPlace { place_m, at, occupied_times }, PLACES_MAX);
+        occupied_times / OCCUPIED_PER_FAILURE
     }
 
     /// Whether the robot gave a place up a short time ago.
