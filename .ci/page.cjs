@@ -2,7 +2,7 @@
 
 const assert = require("node:assert/strict");
 const { readFileSync, readdirSync } = require("node:fs");
-const { after, before, test } = require("node:test");
+const { after, afterEach, before, test } = require("node:test");
 const { gzipSync } = require("node:zlib");
 const { chromium } = require("playwright-core");
 const { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, launch, open: openOn, url, waitForDriver, waitForText, watchSpeed: watchSpeedOn } = require("./page-browser.cjs");
@@ -10,6 +10,8 @@ const { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, launch, open: openOn, url, waitF
 const { PAGE_RUN: run, PAGE_OUT: out } = process.env;
 let browser;
 before(async () => { browser = await launch(); });
+// Fourteen pages that stay open and draw would take both cores.
+afterEach(() => Promise.all(browser.contexts().map((context) => context.close())));
 after(() => browser.close());
 
 const open = (options, on = browser) => openOn(on, options);
