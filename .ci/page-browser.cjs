@@ -45,9 +45,24 @@ async function open(browser, { sockets = false, base = url, robots = 2, ...optio
   page.on("pageerror", (error) => errors.push(error.message));
   page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
   await page.goto(base);
-  await page.waitForFunction((count) => document.querySelectorAll(".robot .badge.good").length === count, robots, WAIT);
+  await waitForRobots(page, robots).catch(async (error) => {
+    throw new Error([error.message, await describe(page), ...errors].join("\n"));
+  });
   return { page, errors };
 }
+
+/** Waits until all robots map. One that stands in a corridor does so too: it knows its place in one direction only. */
+const waitForRobots = (page, robots) => page.waitForFunction((count) => {
+  const states = [...document.querySelectorAll(".robot .badge")].map((badge) => badge.textContent);
+  return states.filter((state) => ["tracking", "degenerate"].includes(state)).length === count;
+}, robots, WAIT);
+
+/** Says what a page shows of the link and of the robots, and whether it draws. */
+const describe = (page) => page.evaluate(async () => {
+  const drawn = new Promise((resolve) => { requestAnimationFrame(() => resolve("draws")); });
+  const late = new Promise((resolve) => { setTimeout(resolve, 5000, "does not draw"); });
+  return [await Promise.race([drawn, late]), ...[...document.querySelectorAll("#link, #fleet, #log, .robot")].map((element) => element.innerText.replaceAll("\n", " "))].join("\n");
+});
 
 /** Waits until the text of an element contains another one. */
 async function waitForText(page, selector, text) {
@@ -87,4 +102,4 @@ async function watchSpeed(browser, robot = 1) {
   return page;
 }
 
-module.exports = { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, launch, open, serveFiles, url, waitForDriver, waitForText, watchSpeed };
+module.exports = { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, launch, open, serveFiles, url, waitForDriver, waitForRobots, waitForText, watchSpeed };

@@ -5,7 +5,7 @@ const { readFileSync, readdirSync } = require("node:fs");
 const { after, afterEach, before, test } = require("node:test");
 const { gzipSync } = require("node:zlib");
 const { chromium } = require("playwright-core");
-const { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, launch, open: openOn, url, waitForDriver, waitForText, watchSpeed: watchSpeedOn } = require("./page-browser.cjs");
+const { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, launch, open: openOn, url, waitForDriver, waitForRobots, waitForText, watchSpeed: watchSpeedOn } = require("./page-browser.cjs");
 
 const { PAGE_RUN: run, PAGE_OUT: out } = process.env;
 let browser;
@@ -234,7 +234,7 @@ test("a robot stands when the bridge is killed, and the page connects again", as
   // The key is let go while nobody hears of it.
   await page.keyboard.up("KeyA");
   await waitForText(page, "#link", "connected");
-  await page.waitForFunction(() => document.querySelectorAll(".robot .badge.good").length === 2, null, WAIT);
+  await waitForRobots(page, 2);
   // The robot has turned no further than within the time that its own dead man's switch and its brakes need.
   const after = await pose();
   const turned = Math.abs(Math.atan2(Math.sin(after.yaw - before.yaw), Math.cos(after.yaw - before.yaw)));
