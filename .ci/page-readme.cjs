@@ -9,7 +9,7 @@ before(async () => { browser = await launch(); });
 after(() => browser.close());
 
 test("a robot of the demo is taken from its operator and driven as README says", async () => {
-  const { page, errors } = await open(browser);
+  const { page, errors } = await open(browser, { robots: 3 });
   await page.keyboard.press("Digit1");
   await page.keyboard.press("KeyT");
   await page.keyboard.down("KeyA");
