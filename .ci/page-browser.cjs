@@ -45,9 +45,12 @@ async function open(browser, { sockets = false, base = url, robots = 2, ...optio
   page.on("pageerror", (error) => errors.push(error.message));
   page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
   await page.goto(base);
-  await waitForRobots(page, robots).catch(async (error) => {
-    throw new Error([error.message, await describe(page), ...errors].join("\n"));
+  // A wait that fails says what the page shows.
+  const wait = page.waitForFunction.bind(page);
+  page.waitForFunction = (...args) => wait(...args).catch(async (error) => {
+    throw new Error([error.message, await describe(page).catch(() => "it does not answer"), ...errors].join("\n"));
   });
+  await waitForRobots(page, robots);
   return { page, errors };
 }
 

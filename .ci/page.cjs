@@ -71,10 +71,19 @@ test("a goal that is drawn on the map is driven to, and a person's hand takes th
   const draw = async (metres) => {
     await page.click("#goal");
     const [from, to] = await page.evaluate((ahead) => {
-      const { x, y, yaw } = mixedReality.operator.fleet.robots.get(1).pose;
+      const { pose: { x, y, yaw }, scan } = mixedReality.operator.fleet.robots.get(1);
+      const points = [...scan.ranges].map((range, i) => [range, scan.angleMin + i * scan.angleStep]).filter(([range]) => Number.isFinite(range))
+        .map(([range, angle]) => [range * Math.cos(angle), range * Math.sin(angle)]);
+      // Wherever the robot stands: where nothing is in the way, as far ahead of it as can be.
+      const isFree = (bearing) => points.every(([px, py]) => {
+        const [along, beside] = [px * Math.cos(bearing) + py * Math.sin(bearing), py * Math.cos(bearing) - px * Math.sin(bearing)];
+        return along < 0 || along > ahead + 0.5 || Math.abs(beside) > 0.3;
+      });
+      const bearings = Array.from({ length: 24 }, (_, i) => (i % 2 ? -1 : 1) * Math.ceil(i / 2) * Math.PI / 12);
+      const to = yaw + bearings.find(isFree);
       const box = document.querySelector("#view").getBoundingClientRect();
       return [ahead, ahead + 0.3].map((m) => {
-        const at = mapView.camera.toScreen({ x: x + m * Math.cos(yaw), y: y + m * Math.sin(yaw) });
+        const at = mapView.camera.toScreen({ x: x + m * Math.cos(to), y: y + m * Math.sin(to) });
         return { x: at.x + box.left, y: at.y + box.top };
       });
     }, metres);
