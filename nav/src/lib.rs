@@ -84,7 +84,7 @@ pub use frontier::{Frontier, FrontierSearch};
 pub use memory::RobotMemory;
 pub use navigation::{
     FleetNavigator, GoalFrame, GoalPose, NavigatedRobot, NavigationFailure, NavigationGoal, NavigationInput,
-    NavigationState, NavigatorConfig,
+    NavigationState, NavigatorConfig, PlaceCertainty,
 };
 pub use observation::{FleetObservation, MapView, RobotObservation, ScanView};
 pub use path::{Path, Waypoint};

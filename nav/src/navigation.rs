@@ -19,7 +19,7 @@ mod tests;
 pub use config::{NavigatorConfig, UnknownSpace};
 pub use goal::{GOAL_POSES_MAX, GoalError, GoalFrame, GoalPose, NavigationGoal};
 pub(crate) use goal_map::START_SNAP_MAX_M;
-pub use input::{NavigatedRobot, NavigationInput};
+pub use input::{NavigatedRobot, NavigationInput, PlaceCertainty};
 pub use state::{NavigationFailure, NavigationState};
 
 use crate::command::Twist;
@@ -87,7 +87,7 @@ pub struct RobotNavigation<'a> {
 ///     map_from_base: Some(pose),
 ///     scan: Some(scan),
 /// };
-/// let robots = [NavigatedRobot { observation, odom_from_base: Some(pose), map_from_robot_map: None }];
+/// let robots = [NavigatedRobot { observation, odom_from_base: Some(pose), map_from_robot_map: None, certainty: None }];
 /// navigator.step(&NavigationInput { stamp: Stamp(0), robots: &robots, exclusion_zones: &[] });
 ///
 /// let navigation = navigator.robots().next().unwrap();

@@ -112,7 +112,8 @@ struct AnswerLeftover {
 }
 
 impl Answer {
-    fn new(report: &ExplorationReport, robots: usize, seconds: f64) -> Self {
+    /// Describes an exploration that began so many seconds ago.
+    pub(super) fn new(report: &ExplorationReport, robots: usize, seconds: f64) -> Self {
         let finite = |value: f64| value.is_finite().then_some(value);
         let left = report.leftovers().iter().map(|left| AnswerLeftover {
             map: RobotId::new(left.map_robot as usize).map_or("map".into(), |robot| robot.to_string()),
@@ -135,7 +136,8 @@ impl Answer {
         }
     }
 
-    fn text(&self) -> String {
+    /// The answer for people: what was reached, and a line for each place that is left.
+    pub(super) fn text(&self) -> String {
         let mut text = format!("{} after {:.0} s, {:.1} m2 known", self.state, self.seconds, self.known_m2);
         if !self.reason.is_empty() {
             text += &format!(": {}", self.reason);

@@ -1,5 +1,8 @@
 //! Tool `mr-slam lockstep`, which runs a fleet on virtual time.
 
+mod exploration;
+
+use self::exploration::{ExplorationOutcome, WatchedExploration};
 use super::fleet_args::FleetArgs;
 use super::{Error, output};
 use crate::config::FleetConfig;
@@ -55,6 +58,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     }
     let mut fleet = Lockstep::with_faults(&config, !args.in_turn, faults)?;
     let mut checker = Checker::new(&config)?;
+    let mut exploration = config.fleet.explore.then(|| WatchedExploration::new(config.fleet.robots));
     let mut hash = Sha256::new();
     let begin = |path: &PathBuf| begin_recording(path, &config, &fleet);
     let mut recording = args.record.as_ref().map(begin).transpose()?;
@@ -65,10 +69,12 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
                 hash.update(channel);
                 hash.update(message);
                 checker.receive(channel, message);
+                exploration.iter_mut().for_each(|exploration| exploration.receive(channel, message));
             });
             checker.check_bounds(&fleet);
             recording.iter_mut().for_each(|recording| _ = recording.step());
         }
+        exploration.iter_mut().for_each(WatchedExploration::end_second);
         if second % 10 == 9 {
             output::note(&format!("{} of {} s", second + 1, args.seconds));
         }
@@ -84,14 +90,17 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     if let Some(why) = recorded.as_ref().and_then(|recorded| recorded.ended.clone()) {
         return Err(why.into());
     }
+    let exploration = exploration.map(WatchedExploration::outcome);
     let view = FleetView::new(fleet.stats());
     let report = serde_json::json!({
         "sha256": hash, "maps_sha256": maps_hash, "times_real_time": faster, "fleet": view, "recording": recorded,
+        "exploration": exploration,
     });
     let text = || {
         format!(
-            "{}{faster:.0} times real time; SHA-256 of all messages {hash}, of the maps {maps_hash}\n",
-            view.table(&Style::PLAIN)
+            "{}{}{faster:.0} times real time; SHA-256 of all messages {hash}, of the maps {maps_hash}\n",
+            view.table(&Style::PLAIN),
+            exploration.as_ref().map_or_else(String::new, ExplorationOutcome::text),
         )
     };
     output::print_either(args.json, &report, text)?;

@@ -3,10 +3,11 @@
 //! The robots of the merged map share one coordinator. A robot whose map is not merged yet explores its own map.
 
 use super::lost_robots::LostRobots;
+use super::revisits::Revisits;
 use super::sent_goal::SentGoal;
 use super::types::{
     CoordinatedRobot, CoordinationInput, CoordinationPhase, ExplorationEnd, FoundLeftover, GoalProgress,
-    RobotAvailability, RobotGoal, TimeEstimate,
+    GoalPurpose, RobotAvailability, RobotGoal, TimeEstimate,
 };
 use super::{CoordinationConfig, FleetCoordinator};
 use crate::navigation::{FleetNavigator, GoalFrame, NavigatedRobot, NavigationInput, NavigationState};
@@ -42,6 +43,9 @@ pub struct FleetExploration {
     taken: [bool; ROBOTS_MAX],
     availability: [Option<RobotAvailability>; ROBOTS_MAX],
     lost: LostRobots,
+    revisits: [Revisits; ROBOTS_MAX],
+    /// Where robots return to whose places have become uncertain, in their own maps.
+    known_places: [Option<Pose2>; ROBOTS_MAX],
     phase: CoordinationPhase,
     end: Option<ExplorationEnd>,
 }
@@ -57,6 +61,8 @@ impl FleetExploration {
             taken: [false; ROBOTS_MAX],
             availability: [None; ROBOTS_MAX],
             lost: LostRobots::default(),
+            revisits: core::array::from_fn(|_| Revisits::default()),
+            known_places: [None; ROBOTS_MAX],
             phase: CoordinationPhase::Exploring,
             end: None,
         }
@@ -201,9 +207,36 @@ impl FleetExploration {
         };
         let sent = self.sent[id.index()].as_mut().zip(state);
         let progress = sent.map_or(GoalProgress::Idle, |(sent, state)| sent.progress(now, state));
+        let robot_map_from_base = map_from_robot_map.zip(pose).map(|(map, pose)| map.inverse() * pose);
+        let availability = self.revisit(now, robot, robot_map_from_base, (availability, progress));
         self.availability[id.index()] = Some(availability);
         let home = map_from_robot_map.zip(self.homes[id.index()]).map(|(map, home)| map * home);
         CoordinatedRobot { robot: id, map_from_base: pose, home, availability, progress }
+    }
+
+    /// Has a free robot return to a place that it knows when its own has become uncertain. Returns its availability with that.
+    fn revisit(
+        &mut self,
+        now: Stamp,
+        robot: &NavigatedRobot,
+        robot_map_from_base: Option<Pose2>,
+        (availability, progress): (RobotAvailability, GoalProgress),
+    ) -> RobotAvailability {
+        let index = robot.observation.robot.index();
+        let revisits = &mut self.revisits[index];
+        let known = robot_map_from_base.zip(robot.certainty);
+        let may = availability == RobotAvailability::Free && self.phase == CoordinationPhase::Exploring;
+        let Some((robot_map_from_base, certainty)) = known.filter(|_| may) else {
+            revisits.interrupt();
+            self.known_places[index] = None;
+            return availability;
+        };
+        let is_returning =
+            self.sent[index].as_ref().is_some_and(|sent| sent.goal.purpose == GoalPurpose::Revisit);
+        let progress = if is_returning { progress } else { GoalProgress::Idle };
+        let place = revisits.step(now, robot_map_from_base, certainty, progress);
+        self.known_places[index] = place;
+        if place.is_some() { RobotAvailability::Revisiting } else { availability }
     }
 
     /// Explores one map with the robots that share it.
@@ -239,16 +272,34 @@ impl FleetExploration {
             explored.known_m2 = map.known_m2();
         }
         explored.is_manual = robots.iter().all(|robot| robot.availability == RobotAvailability::Manual);
-        let is_searching = robots.iter().any(|robot| self.lost.is_searching(robot.robot));
+        let is_searching = robots.iter().any(|robot| {
+            self.lost.is_searching(robot.robot) || robot.availability == RobotAvailability::Revisiting
+        });
         // Persons may keep robots as long as they like.
         if explored.coordinator.has_explorers() || explored.is_manual || is_searching {
             explored.able_at = input.stamp;
         }
         let frame = if of.is_none() { GoalFrame::MergedMap } else { GoalFrame::RobotMap };
         for robot in robots {
-            let goal = self.maps[index].coordinator.goal(robot.robot).cloned();
+            let known_place = self.known_place(input, robot.robot);
+            let goal = known_place.or_else(|| self.maps[index].coordinator.goal(robot.robot).cloned());
             self.send(navigator, input.stamp, frame, robot, goal);
         }
+    }
+
+    /// The goal of a robot that returns to a place that it knows, in the map that it explores.
+    fn known_place(&self, input: &NavigationInput, robot: RobotId) -> Option<RobotGoal> {
+        let place = self.known_places[robot.index()]?;
+        let navigated = input.robots.iter().find(|navigated| navigated.observation.robot == robot)?;
+        let map_from_robot_map = navigated.map_from_robot_map.filter(|_| navigated.observation.in_merged_map);
+        let map_from_place = map_from_robot_map.map_or(place, |map| map * place);
+        Some(RobotGoal {
+            purpose: GoalPurpose::Revisit,
+            position_m: [map_from_place.x_m, map_from_place.y_m],
+            headings_rad: vec![map_from_place.yaw_rad],
+            expected_s: 0.0,
+            gain_m2: 0.0,
+        })
     }
 
     /// Decides what the fleet as a whole does, and whether the exploration is over.

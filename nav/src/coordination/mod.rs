@@ -21,6 +21,7 @@ mod growth;
 mod leftovers;
 mod lost_robots;
 mod plan;
+mod revisits;
 mod seen;
 mod sensor;
 mod sent_goal;

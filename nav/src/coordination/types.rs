@@ -9,12 +9,21 @@ use msg::{Pose2, RobotId, Stamp};
 pub enum RobotAvailability {
     /// It drives to the coordinator's goals.
     Free,
+    /// Its place has become uncertain, and it returns to one that it knows.
+    Revisiting,
     /// A person drives it.
     Manual,
     /// Its pose in the map is not known.
     Lost,
     /// It does not answer any more; where it stands is an obstacle.
     Dead,
+}
+
+impl RobotAvailability {
+    /// Whether the exploration drives it and knows its place.
+    pub fn explores(self) -> bool {
+        matches!(self, Self::Free | Self::Revisiting)
+    }
 }
 
 /// What a robot does with its goal.
@@ -95,6 +104,8 @@ pub enum GoalPurpose {
     Follow,
     /// Return to where the robot began.
     Home,
+    /// Return to a place that the robot knows, so that SLAM closes a loop.
+    Revisit,
 }
 
 /// Goal of one robot.

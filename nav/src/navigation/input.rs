@@ -6,6 +6,15 @@ use msg::{ExclusionZone, Pose2, RobotId, Stamp};
 /// Oldest scan that a robot is driven by, seconds: five periods of a Burger's LiDAR.
 const SCAN_AGE_MAX_S: f64 = 0.5;
 
+/// How well the place of a robot in its own map is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaceCertainty {
+    /// Standard deviation of the position in its least certain direction, metres.
+    pub sigma_m: f64,
+    /// Whether the newest scan tells the position in every direction.
+    pub is_fixed_by_scan: bool,
+}
+
 /// One robot at one moment.
 #[derive(Clone, Copy, Debug)]
 pub struct NavigatedRobot<'a> {
@@ -15,6 +24,8 @@ pub struct NavigatedRobot<'a> {
     pub odom_from_base: Option<Pose2>,
     /// Where its own map lies in the merged map; `None` while it is not merged.
     pub map_from_robot_map: Option<Pose2>,
+    /// How well its place in its own map is known; `None`: nobody says.
+    pub certainty: Option<PlaceCertainty>,
 }
 
 /// The fleet at one moment.
@@ -49,7 +60,7 @@ impl<'a> NavigatedRobot<'a> {
     /// A robot of which nothing is known.
     pub fn unknown(robot: RobotId) -> Self {
         let observation = RobotObservation::unknown(robot);
-        Self { observation, odom_from_base: None, map_from_robot_map: None }
+        Self { observation, odom_from_base: None, map_from_robot_map: None, certainty: None }
     }
 
     pub(super) fn poses(&self) -> Option<RobotPoses> {

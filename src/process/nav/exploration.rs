@@ -196,7 +196,7 @@ impl<P: Ports> Exploration<P> {
         for robot in &self.robots {
             report.robots[robot.index()] = match exploration.availability(*robot) {
                 None | Some(RobotAvailability::Lost) => ExplorerState::Lost,
-                Some(RobotAvailability::Free) => ExplorerState::Exploring,
+                Some(RobotAvailability::Free | RobotAvailability::Revisiting) => ExplorerState::Exploring,
                 Some(RobotAvailability::Manual) => ExplorerState::Manual,
                 Some(RobotAvailability::Dead) => ExplorerState::Silent,
             } as u8;
@@ -260,7 +260,7 @@ impl<P: Ports> Exploration<P> {
 fn completion(exploration: &FleetExploration, robots: &[RobotId]) -> String {
     let missing: Vec<String> = robots
         .iter()
-        .filter(|robot| exploration.availability(**robot) != Some(RobotAvailability::Free))
+        .filter(|robot| !exploration.availability(**robot).is_some_and(RobotAvailability::explores))
         .map(ToString::to_string)
         .collect();
     if missing.is_empty() {

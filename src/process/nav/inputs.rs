@@ -3,7 +3,7 @@
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
-use ::nav::{MapView, NavigatedRobot, NavigationInput, RobotObservation, ScanView};
+use ::nav::{MapView, NavigatedRobot, NavigationInput, PlaceCertainty, RobotObservation, ScanView};
 use msg::pose::yaw_of_quaternion;
 use msg::{
     Correction, DenseMap, ExclusionZone, Link, LinkTransform, MapTransforms, Monotonic, Pose2, RobotId, Scan,
@@ -42,6 +42,8 @@ struct RobotState {
     base_from_scan: Pose2,
     /// `None` while the robot is lost.
     map_from_odom: Option<Pose2>,
+    /// `None` while the robot is lost.
+    certainty: Option<PlaceCertainty>,
     /// When SLAM said so last.
     corrected: Option<Monotonic>,
 }
@@ -104,6 +106,7 @@ impl<P: Ports> Inputs<P> {
             if let Some(correction) = corrections.newest() {
                 let is_located = correction.state() != TrackingState::Lost && correction.nodes > 0;
                 state.map_from_odom = correction.map_from_odom().filter(|_| is_located);
+                state.certainty = is_located.then(|| certainty(&correction));
                 state.corrected = Some(now.min(correction.header.sent));
             }
             if map_from_robot_map(transforms.as_ref(), *robot).is_none() {
@@ -183,7 +186,12 @@ impl<P: Ports> Inputs<P> {
                 let map = if in_merged_map { merged_map } else { inputs.map.view() };
                 let observation =
                     RobotObservation { robot: inputs.robot, map, in_merged_map, map_from_base, scan };
-                NavigatedRobot { observation, odom_from_base, map_from_robot_map }
+                NavigatedRobot {
+                    observation,
+                    odom_from_base,
+                    map_from_robot_map,
+                    certainty: inputs.state.certainty,
+                }
             })
             .collect();
         step(&NavigationInput { stamp, robots: &robots, exclusion_zones });
@@ -208,6 +216,17 @@ impl RobotState {
 /// Returns the pose on the floor of a link in its parent.
 fn planar_pose(link: &LinkTransform) -> Pose2 {
     Pose2::new(link.translation_m[0], link.translation_m[1], yaw_of_quaternion(link.rotation_xyzw))
+}
+
+/// How well SLAM knows a robot's place in its map.
+fn certainty(correction: &Correction) -> PlaceCertainty {
+    let [xx, xy, _, yy, ..] = correction.covariance;
+    // The larger eigenvalue of the position's part.
+    let variance_m2 = (xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy);
+    PlaceCertainty {
+        sigma_m: variance_m2.sqrt(),
+        is_fixed_by_scan: correction.state() == TrackingState::Tracking,
+    }
 }
 
 fn map_from_robot_map(transforms: Option<&MapTransforms>, robot: RobotId) -> Option<Pose2> {

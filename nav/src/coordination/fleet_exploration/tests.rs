@@ -1,7 +1,7 @@
 //! Goals that an exploration gives and takes away.
 
 use super::*;
-use crate::navigation::NavigatorConfig;
+use crate::navigation::{NavigatorConfig, PlaceCertainty};
 use crate::observation::{BURGER_BASE_FROM_SCAN, MapView, RobotObservation, ScanView};
 use msg::{Pose2, Stamp};
 
@@ -30,7 +30,12 @@ fn robots<'a>(cells: &'a [i8], count: usize) -> Vec<NavigatedRobot<'a>> {
                 map_from_base: Some(pose),
                 scan: Some(scan),
             };
-            NavigatedRobot { observation, odom_from_base: Some(pose), map_from_robot_map: None }
+            NavigatedRobot {
+                observation,
+                odom_from_base: Some(pose),
+                map_from_robot_map: None,
+                certainty: None,
+            }
         })
         .collect()
 }
@@ -94,4 +99,39 @@ fn a_robot_that_stays_lost_looks_for_its_place_once() {
     let seconds = states.iter().filter(finds).count();
     assert!((119..=122).contains(&seconds), "two minutes: {seconds} s");
     assert!(!exploration.is_driving(lost));
+}
+
+#[test]
+fn a_robot_whose_place_becomes_uncertain_returns_to_one_that_it_knows() {
+    let cells = cells();
+    let mut robots = robots(&cells, 1);
+    let robot = robots[0].observation.robot;
+    // Its own map lies elsewhere in the merged one.
+    robots[0].map_from_robot_map = Some(Pose2::new(1.0, 1.0, 0.0));
+    let mut navigator = FleetNavigator::new(NavigatorConfig::default());
+    let mut exploration = FleetExploration::new(CoordinationConfig::default());
+    let mut second = 0.0;
+    let mut step = |x_m: f64, sigma_m: f64, is_fixed_by_scan: bool| {
+        second += 1.0;
+        robots[0].observation.map_from_base = Some(Pose2::new(x_m, 2.0, 0.0));
+        robots[0].certainty = Some(PlaceCertainty { sigma_m, is_fixed_by_scan });
+        let input =
+            NavigationInput { stamp: Stamp::from_seconds(second), robots: &robots, exclusion_zones: &[] };
+        exploration.step(&mut navigator, &input, &|_| false);
+        let goal =
+            exploration.sent[robot.index()].as_ref().map(|sent| (sent.goal.purpose, sent.goal.position_m));
+        (exploration.availability(robot).unwrap(), goal)
+    };
+    let exploring = |(availability, goal): (RobotAvailability, Option<(GoalPurpose, [f64; 2])>)| {
+        availability == RobotAvailability::Free
+            && goal.is_some_and(|(purpose, _)| purpose == GoalPurpose::Explore)
+    };
+    assert!(exploring(step(3.0, 0.1, true)));
+    assert!(exploring(step(5.0, 0.6, false)));
+    assert_eq!(
+        step(5.0, 0.8, false),
+        (RobotAvailability::Revisiting, Some((GoalPurpose::Revisit, [3.0, 2.0])))
+    );
+    assert_eq!(step(4.0, 0.6, false).0, RobotAvailability::Revisiting, "until the loop is closed");
+    assert!(exploring(step(4.0, 0.2, true)));
 }

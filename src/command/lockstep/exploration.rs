@@ -1,0 +1,66 @@
+//! What an exploration in lockstep came to.
+
+use crate::channel;
+use crate::command::explore::Answer;
+use msg::{ExplorationReport, ExplorationStatus, ExplorerState, RobotId};
+use serde::Serialize;
+
+/// An exploration whose states are read from the fleet's messages.
+pub(super) struct WatchedExploration {
+    channel: String,
+    newest: Box<ExplorationReport>,
+    /// Seconds until now, or until it ended.
+    seconds: u32,
+    /// Seconds in which each robot was lost.
+    lost_s: Vec<u32>,
+}
+
+/// Result of an exploration, as JSON.
+#[derive(Serialize)]
+pub(super) struct ExplorationOutcome {
+    #[serde(flatten)]
+    answer: Answer,
+    /// Time in which each robot did not know its place, seconds.
+    lost_s: Vec<u32>,
+}
+
+impl WatchedExploration {
+    pub(super) fn new(robots: usize) -> Self {
+        let channel = channel::exploration_state().name;
+        Self { channel, newest: Box::default(), seconds: 0, lost_s: vec![0; robots] }
+    }
+
+    /// Reads a message of the fleet.
+    pub(super) fn receive(&mut self, channel: &str, bytes: &[u8]) {
+        if channel == self.channel {
+            *self.newest = bytemuck::pod_read_unaligned(bytes);
+        }
+    }
+
+    /// Counts a second of the run.
+    pub(super) fn end_second(&mut self) {
+        use ExplorationStatus::{Completed, Failed, Stopped};
+        if matches!(self.newest.status(), Completed | Failed | Stopped) {
+            return;
+        }
+        self.seconds += 1;
+        for (index, lost_s) in self.lost_s.iter_mut().enumerate() {
+            *lost_s += u32::from(self.newest.robot(index) == ExplorerState::Lost);
+        }
+    }
+
+    pub(super) fn outcome(self) -> ExplorationOutcome {
+        let answer = Answer::new(&self.newest, self.lost_s.len(), f64::from(self.seconds));
+        ExplorationOutcome { answer, lost_s: self.lost_s }
+    }
+}
+
+impl ExplorationOutcome {
+    /// The result for people.
+    pub(super) fn text(&self) -> String {
+        let robots = RobotId::first(self.lost_s.len()).zip(&self.lost_s).filter(|(_, lost_s)| **lost_s > 0);
+        let lost: String =
+            robots.map(|(robot, lost_s)| format!("{robot} was lost for {lost_s} s\n")).collect();
+        format!("exploration {}{lost}", self.answer.text())
+    }
+}
