@@ -51,12 +51,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     if config.world.is_outside() {
         return Err("lockstep simulates its own world; expected world = \"simulator\"".into());
     }
-    let faults =
-        args.faults.map_or_else(FaultPlan::none, |seed| FaultPlan::draw(seed, quiet_from(args.seconds)));
-    if args.faults.is_some() {
-        output::note(&format!("{faults:?}"));
-    }
-    let mut fleet = Lockstep::with_faults(&config, !args.in_turn, faults)?;
+    let mut fleet = Lockstep::with_faults(&config, !args.in_turn, draw_faults(args))?;
     let mut checker = Checker::new(&config)?;
     let mut exploration = config.fleet.explore.then(|| WatchedExploration::new(config.fleet.robots));
     let mut hash = Sha256::new();
@@ -110,6 +105,14 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     } else {
         Err(format!("did not hold: {}", violations.join("; ")).into())
     }
+}
+
+/// Draws the faults of the run, and prints them.
+fn draw_faults(args: &LockstepArgs) -> FaultPlan {
+    let Some(seed) = args.faults else { return FaultPlan::none() };
+    let faults = FaultPlan::draw(seed, quiet_from(args.seconds));
+    output::note(&format!("{faults:?}"));
+    faults
 }
 
 /// Writes the maps and the robots' sessions into a folder.

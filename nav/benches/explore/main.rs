@@ -158,7 +158,7 @@ fn set(config: &mut CoordinationConfig, pair: &str) -> Result<(), String> {
         "unknown_depth_m" => &mut config.unknown_depth_m,
         "sweep_share" => &mut config.sweep_share,
         "gain_min_m2" => &mut config.gain_min_m2,
-        "gain_last_m2" => &mut config.gain_last_m2,
+        "gain_last_share" => &mut config.gain_last_share,
         "pocket_m2" => &mut config.pocket_m2,
         "makespan_weight_m2" => &mut config.makespan_weight_m2,
         "switch_cost_s" => &mut config.switch_cost_s,

@@ -3,6 +3,9 @@
 use crate::config::RobotBody;
 use core::f64::consts::FRAC_PI_2;
 
+/// An area for which no robot goes to a viewpoint, however little is known, square metres: less than 20 cells.
+const GAIN_LAST_LEAST_M2: f64 = 0.04;
+
 /// Parameters of the coordinator. The robots' scans replace angle and range. The defaults suit TurtleBot3 Burgers with the paper's LiDAR of 90 degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoordinationConfig {
@@ -19,8 +22,9 @@ pub struct CoordinationConfig {
     pub sweep_share: f64,
     /// Smallest area for which a robot goes to a viewpoint while larger ones are left, square metres.
     pub gain_min_m2: f64,
-    /// Smallest area for which it goes there at all, square metres: about 20 cells.
-    pub gain_last_m2: f64,
+    /// Smallest area for which it goes there at all, as a share of the known area, 0 to 1; between 0.04 m² and `gain_min_m2`. Pockets of
+    /// 0.04 m² are 0.01 % of a hall's floor, and took fleets of three as long as all the rest.
+    pub gain_last_share: f64,
     /// Most viewpoints of a plan. Bounds its time.
     pub viewpoints_max: usize,
     /// Area that each viewpoint counts in addition to its own, square metres: small pockets are seen while near.
@@ -34,6 +38,13 @@ pub struct CoordinationConfig {
     pub replan_period_s: f64,
 }
 
+impl CoordinationConfig {
+    /// Smallest area for which a robot goes to a viewpoint when so much is known, square metres.
+    pub(super) fn gain_last_m2(&self, known_m2: f64) -> f64 {
+        (self.gain_last_share * known_m2).min(self.gain_min_m2).max(GAIN_LAST_LEAST_M2)
+    }
+}
+
 impl Default for CoordinationConfig {
     fn default() -> Self {
         Self {
@@ -43,7 +54,7 @@ impl Default for CoordinationConfig {
             unknown_depth_m: 1.5,
             sweep_share: 0.85,
             gain_min_m2: 0.25,
-            gain_last_m2: 0.04,
+            gain_last_share: 0.002,
             viewpoints_max: 32,
             pocket_m2: 1.5,
             makespan_weight_m2: 10.0,

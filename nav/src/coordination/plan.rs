@@ -81,7 +81,8 @@ impl FleetCoordinator {
     pub(super) fn plan(&mut self, input: &CoordinationInput) {
         self.update_map(input);
         self.search_robot_routes(input);
-        self.known_area.record(input.stamp, input.map.known_m2());
+        let known_m2 = input.map.known_m2();
+        self.known_area.record(input.stamp, known_m2);
         // Without a robot that can drive, nobody knows what is reachable: persons may give theirs back.
         if self.buffers.robots.is_empty() {
             self.known_area.record_no_robot(input.stamp);
@@ -89,7 +90,7 @@ impl FleetCoordinator {
         }
         // A map that is merged late, or a robot that is given back, may open what was unreachable.
         let is_exploring = self.phase == CoordinationPhase::Exploring;
-        self.find_viewpoints(input, is_exploring);
+        self.find_viewpoints(input, is_exploring.then_some(known_m2));
         if !self.buffers.viewpoints.is_empty() && self.known_area.exhaustion().is_none() {
             self.phase = CoordinationPhase::Exploring;
             return self.assign(input);
@@ -131,8 +132,8 @@ impl FleetCoordinator {
         buffers.robot_costs.truncate(buffers.robots.len());
     }
 
-    /// Finds viewpoints: with much to see, or if there are none and `with_small` is set, with little.
-    fn find_viewpoints(&mut self, input: &CoordinationInput, with_small: bool) {
+    /// Finds viewpoints: with much to see, or if there are none, with little compared with what is known. Without `known_m2` only those with much.
+    fn find_viewpoints(&mut self, input: &CoordinationInput, known_m2: Option<f64>) {
         let Self { map, buffers, config, unseen, goals, .. } = self;
         let mut views = core::mem::take(&mut buffers.views);
         let mut found = core::mem::take(&mut buffers.viewpoints);
@@ -154,8 +155,8 @@ impl FleetCoordinator {
             [here, goal]
         });
         let extra: Vec<usize> = places.flatten().filter(|cell| buffers.is_reached(*cell)).collect();
-        let gains_m2 = [config.gain_min_m2, config.gain_last_m2];
-        for gain_min_m2 in gains_m2.into_iter().take(1 + usize::from(with_small)) {
+        let gains_m2 = [Some(config.gain_min_m2), known_m2.map(|known_m2| config.gain_last_m2(known_m2))];
+        for gain_min_m2 in gains_m2.into_iter().flatten() {
             views.find(map, config, &is_candidate, &is_opaque, &extra, gain_min_m2, &mut found);
             if !found.is_empty() {
                 break;

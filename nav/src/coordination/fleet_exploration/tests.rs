@@ -127,11 +127,11 @@ fn a_robot_whose_place_becomes_uncertain_returns_to_one_that_it_knows() {
             && goal.is_some_and(|(purpose, _)| purpose == GoalPurpose::Explore)
     };
     assert!(exploring(step(3.0, 0.1, true)));
-    assert!(exploring(step(5.0, 0.6, false)));
+    assert!(exploring(step(5.0, 0.9, false)));
     assert_eq!(
-        step(5.0, 0.8, false),
+        step(5.0, 1.1, false),
         (RobotAvailability::Revisiting, Some((GoalPurpose::Revisit, [3.0, 2.0])))
     );
-    assert_eq!(step(4.0, 0.6, false).0, RobotAvailability::Revisiting, "until the loop is closed");
+    assert_eq!(step(4.0, 0.9, false).0, RobotAvailability::Revisiting, "until the loop is closed");
     assert!(exploring(step(4.0, 0.2, true)));
 }
