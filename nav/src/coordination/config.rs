@@ -54,7 +54,7 @@ impl Default for CoordinationConfig {
             unknown_depth_m: 1.5,
             sweep_share: 0.85,
             gain_min_m2: 0.25,
-            gain_last_share: 0.002,
+            gain_last_share: 0.001,
             viewpoints_max: 32,
             pocket_m2: 1.5,
             makespan_weight_m2: 10.0,
