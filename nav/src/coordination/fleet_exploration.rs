@@ -234,7 +234,9 @@ impl FleetExploration {
         let is_returning =
             self.sent[index].as_ref().is_some_and(|sent| sent.goal.purpose == GoalPurpose::Revisit);
         let progress = if is_returning { progress } else { GoalProgress::Idle };
-        let place = revisits.step(now, robot_map_from_base, certainty, progress);
+        let of = (!robot.observation.in_merged_map).then_some(robot.observation.robot);
+        let known_m2 = self.maps.iter().find(|map| map.robot == of).map_or(0.0, |map| map.known_m2);
+        let place = revisits.step(now, robot_map_from_base, certainty, progress, known_m2);
         self.known_places[index] = place;
         if place.is_some() { RobotAvailability::Revisiting } else { availability }
     }

@@ -23,8 +23,11 @@ const PLACES_MAX: usize = 64;
 const WAY_MIN_M: f64 = 1.0;
 /// Places that a robot tries before it explores on.
 const TRIES_MAX: usize = 3;
-/// What the standard deviation must have grown by until it tries again, metres.
+/// What the standard deviation must have grown by until it returns again, if the known area has not grown since it returned last, metres: what lies
+/// far from all known places is explored in the end.
 const RETRY_SIGMA_M: f64 = 0.2;
+/// Growth of the known area that is worth a way back, square metres.
+const GROWTH_MIN_M2: f64 = 2.0;
 /// Time at a place in which SLAM may close a loop, seconds.
 const STAY_S: f64 = 3.0;
 
@@ -47,30 +50,38 @@ pub(super) struct Revisits {
     current: Option<Return>,
     /// Standard deviation from which the robot returns next, metres.
     from_sigma_m: f64,
+    /// The largest known area when it returned, square metres.
+    known_m2: f64,
 }
 
 impl Default for Revisits {
     fn default() -> Self {
-        Self { places: Vec::new(), current: None, from_sigma_m: UNCERTAIN_SIGMA_M }
+        Self { places: Vec::new(), current: None, from_sigma_m: UNCERTAIN_SIGMA_M, known_m2: 0.0 }
     }
 }
 
 impl Revisits {
-    /// Where a robot returns to, in its own map; `None`: it explores. `progress` is that of the way back.
+    /// Where a robot returns to, in its own map; `None`: it explores. `progress` is that of the way back, `known_m2` what the map shows, square metres.
     pub(super) fn step(
         &mut self,
         now: Stamp,
         robot_map_from_base: Pose2,
         certainty: PlaceCertainty,
         progress: GoalProgress,
+        known_m2: f64,
     ) -> Option<Pose2> {
         self.remember(robot_map_from_base, certainty);
         if certainty.sigma_m < CERTAIN_SIGMA_M {
-            (self.current, self.from_sigma_m) = (None, UNCERTAIN_SIGMA_M);
+            self.current = None;
             return None;
         }
         let Some(current) = &mut self.current else {
-            if certainty.sigma_m >= self.from_sigma_m {
+            let has_grown = known_m2 >= self.known_m2 + GROWTH_MIN_M2;
+            let from_sigma_m = if has_grown { UNCERTAIN_SIGMA_M } else { self.from_sigma_m };
+            if certainty.sigma_m >= from_sigma_m {
+                self.from_sigma_m =
+                    if has_grown { UNCERTAIN_SIGMA_M } else { certainty.sigma_m + RETRY_SIGMA_M };
+                self.known_m2 = self.known_m2.max(known_m2);
                 self.begin(robot_map_from_base, certainty, Vec::new());
             }
             return self.current.as_ref().map(|current| current.to);
@@ -140,7 +151,7 @@ mod tests {
     fn with_places() -> Revisits {
         let mut revisits = Revisits::default();
         for x_m in 0..10 {
-            let place = revisits.step(Stamp(0), at(f64::from(x_m)), known(0.1), GoalProgress::Idle);
+            let place = revisits.step(Stamp(0), at(f64::from(x_m)), known(0.1), GoalProgress::Idle, 0.0);
             assert_eq!(place, None);
         }
         revisits
@@ -151,7 +162,7 @@ mod tests {
         let mut revisits = with_places();
         let mut step = |second: f64, sigma_m: f64, progress| {
             let stamp = Stamp::from_seconds(second);
-            revisits.step(stamp, at(12.0), known(sigma_m), progress).map(|place| place.x_m)
+            revisits.step(stamp, at(12.0), known(sigma_m), progress, 10.0).map(|place| place.x_m)
         };
         assert_eq!(step(1.0, 1.1, GoalProgress::Idle), Some(8.0));
         assert_eq!(step(2.0, 1.1, GoalProgress::Active), Some(8.0));
@@ -166,16 +177,33 @@ mod tests {
     }
 
     #[test]
+    fn a_robot_returns_later_and_later_while_the_known_area_does_not_grow() {
+        let mut revisits = with_places();
+        let mut is_returning = |sigma_m: f64, known_m2: f64| {
+            revisits.step(Stamp(0), at(12.0), known(sigma_m), GoalProgress::Idle, known_m2).is_some()
+        };
+        assert!(is_returning(1.0, 10.0));
+        assert!(!is_returning(0.7, 10.0));
+        assert!(is_returning(1.0, 11.0), "the first return counts as one with growth");
+        assert!(!is_returning(0.7, 11.0));
+        assert!(!is_returning(1.1, 11.0));
+        assert!(is_returning(1.2, 11.0));
+        assert!(!is_returning(0.7, 11.0));
+        assert!(!is_returning(1.3, 11.0));
+        assert!(is_returning(1.0, 14.0), "the known area has grown");
+    }
+
+    #[test]
     fn a_robot_without_known_places_explores() {
         let mut revisits = Revisits::default();
-        assert_eq!(revisits.step(Stamp(0), at(0.0), known(2.0), GoalProgress::Idle), None);
+        assert_eq!(revisits.step(Stamp(0), at(0.0), known(2.0), GoalProgress::Idle, 0.0), None);
     }
 
     #[test]
     fn places_are_bounded_and_apart() {
         let mut revisits = Revisits::default();
         for step in 0..1000 {
-            revisits.step(Stamp(0), at(f64::from(step)), known(0.1), GoalProgress::Idle);
+            revisits.step(Stamp(0), at(f64::from(step)), known(0.1), GoalProgress::Idle, 0.0);
         }
         assert_eq!(revisits.places.len(), PLACES_MAX);
         assert!(revisits.places.windows(2).all(|pair| pair[1].x_m - pair[0].x_m >= PLACES_APART_M));
