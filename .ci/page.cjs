@@ -80,7 +80,9 @@ test("a goal that is drawn on the map is driven to, and a person's hand takes th
         return along < 0 || along > ahead + 0.5 || Math.abs(beside) > 0.3;
       });
       const bearings = Array.from({ length: 24 }, (_, i) => (i % 2 ? -1 : 1) * Math.ceil(i / 2) * Math.PI / 12);
-      const to = yaw + bearings.find(isFree);
+      const bearing = bearings.find(isFree);
+      if (bearing === undefined) throw new Error("obstacles all around robot1");
+      const to = yaw + bearing;
       const box = document.querySelector("#view").getBoundingClientRect();
       return [ahead, ahead + 0.3].map((m) => {
         const at = mapView.camera.toScreen({ x: x + m * Math.cos(to), y: y + m * Math.sin(to) });

@@ -112,7 +112,7 @@ struct AnswerLeftover {
 }
 
 impl Answer {
-    /// Describes an exploration that began so many seconds ago.
+    /// Describes an exploration that has taken so many seconds until now, or until its end.
     pub(super) fn new(report: &ExplorationReport, robots: usize, seconds: f64) -> Self {
         let finite = |value: f64| value.is_finite().then_some(value);
         let left = report.leftovers().iter().map(|left| AnswerLeftover {

@@ -223,10 +223,14 @@ impl FleetExploration {
         (availability, progress): (RobotAvailability, GoalProgress),
     ) -> RobotAvailability {
         let index = robot.observation.robot.index();
+        let of = (!robot.observation.in_merged_map).then_some(robot.observation.robot);
+        let map = self.maps.iter().find(|map| map.robot == of);
+        let known_m2 = map.map_or(0.0, |map| map.known_m2);
+        let is_explored = map.is_none_or(|map| map.coordinator.phase() == CoordinationPhase::Exploring);
+        let may = availability == RobotAvailability::Free && is_explored;
         let revisits = &mut self.revisits[index];
-        let known = robot_map_from_base.zip(robot.certainty);
-        let may = availability == RobotAvailability::Free && self.phase == CoordinationPhase::Exploring;
-        let Some((robot_map_from_base, certainty)) = known.filter(|_| may) else {
+        let Some((robot_map_from_base, certainty)) = robot_map_from_base.zip(robot.certainty).filter(|_| may)
+        else {
             revisits.interrupt();
             self.known_places[index] = None;
             return availability;
@@ -234,8 +238,6 @@ impl FleetExploration {
         let is_returning =
             self.sent[index].as_ref().is_some_and(|sent| sent.goal.purpose == GoalPurpose::Revisit);
         let progress = if is_returning { progress } else { GoalProgress::Idle };
-        let of = (!robot.observation.in_merged_map).then_some(robot.observation.robot);
-        let known_m2 = self.maps.iter().find(|map| map.robot == of).map_or(0.0, |map| map.known_m2);
         let place = revisits.step(now, robot_map_from_base, certainty, progress, known_m2);
         self.known_places[index] = place;
         if place.is_some() { RobotAvailability::Revisiting } else { availability }
@@ -283,22 +285,21 @@ impl FleetExploration {
         }
         let frame = if of.is_none() { GoalFrame::MergedMap } else { GoalFrame::RobotMap };
         for robot in robots {
-            let known_place = self.known_place(input, robot.robot);
-            let goal = known_place.or_else(|| self.maps[index].coordinator.goal(robot.robot).cloned());
+            let (frame, goal) = match self.known_place(robot.robot) {
+                Some(place) => (GoalFrame::RobotMap, Some(place)),
+                None => (frame, self.maps[index].coordinator.goal(robot.robot).cloned()),
+            };
             self.send(navigator, input.stamp, frame, robot, goal);
         }
     }
 
-    /// The goal of a robot that returns to a place that it knows, in the map that it explores.
-    fn known_place(&self, input: &NavigationInput, robot: RobotId) -> Option<RobotGoal> {
+    /// The goal of a robot that returns to a place that it knows, in its own map: merging does not move it.
+    fn known_place(&self, robot: RobotId) -> Option<RobotGoal> {
         let place = self.known_places[robot.index()]?;
-        let navigated = input.robots.iter().find(|navigated| navigated.observation.robot == robot)?;
-        let map_from_robot_map = navigated.map_from_robot_map.filter(|_| navigated.observation.in_merged_map);
-        let map_from_place = map_from_robot_map.map_or(place, |map| map * place);
         Some(RobotGoal {
             purpose: GoalPurpose::Revisit,
-            position_m: [map_from_place.x_m, map_from_place.y_m],
-            headings_rad: vec![map_from_place.yaw_rad],
+            position_m: [place.x_m, place.y_m],
+            headings_rad: vec![place.yaw_rad],
             expected_s: 0.0,
             gain_m2: 0.0,
         })
@@ -350,7 +351,9 @@ impl FleetExploration {
             return;
         };
         let is_same = |sent: &SentGoal| sent.is_same(frame, &goal, robot);
-        if sent.as_ref().is_some_and(is_same) && !robot.progress.has_ended() {
+        // A robot that has returned waits for SLAM.
+        let goes_on = goal.purpose == GoalPurpose::Revisit || !robot.progress.has_ended();
+        if sent.as_ref().is_some_and(is_same) && goes_on {
             return;
         }
         let new = SentGoal { frame, goal, occupied_since: None };

@@ -178,7 +178,9 @@ impl FleetCoordinator {
         self.record_progress(input);
         let period = Duration::from_secs_f64(self.config.replan_period_s);
         let is_due = self.planned_at.is_none_or(|at| input.stamp >= at + period);
-        let needs_goal = |robot: &CoordinatedRobot| robot.progress.has_ended();
+        let needs_goal = |robot: &CoordinatedRobot| {
+            robot.availability == RobotAvailability::Free && robot.progress.has_ended()
+        };
         if is_due || input.robots.iter().any(needs_goal) {
             self.planned_at = Some(input.stamp);
             self.plans += 1;

@@ -68,7 +68,7 @@ impl FleetCoordinator {
         for robot in input.robots {
             let Some(pose) = robot.map_from_base.filter(|pose| pose.is_finite()) else { continue };
             let (space_m, occupancy) = match robot.availability {
-                RobotAvailability::Free => (OWN_SPACE_M, Occupancy::Free),
+                RobotAvailability::Free | RobotAvailability::Revisiting => (OWN_SPACE_M, Occupancy::Free),
                 _ => (STANDING_SPACE_M, Occupancy::Occupied),
             };
             let radius_m = self.config.body.radius_m + space_m;

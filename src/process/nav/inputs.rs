@@ -106,7 +106,8 @@ impl<P: Ports> Inputs<P> {
             if let Some(correction) = corrections.newest() {
                 let is_located = correction.state() != TrackingState::Lost && correction.nodes > 0;
                 state.map_from_odom = correction.map_from_odom().filter(|_| is_located);
-                state.certainty = is_located.then(|| certainty(&correction));
+                state.certainty =
+                    is_located.then(|| certainty(&correction)).filter(|known| known.sigma_m.is_finite());
                 state.corrected = Some(now.min(correction.header.sent));
             }
             if map_from_robot_map(transforms.as_ref(), *robot).is_none() {

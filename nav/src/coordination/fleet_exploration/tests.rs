@@ -130,7 +130,7 @@ fn a_robot_whose_place_becomes_uncertain_returns_to_one_that_it_knows() {
     assert!(exploring(step(5.0, 0.9, false)));
     assert_eq!(
         step(5.0, 1.1, false),
-        (RobotAvailability::Revisiting, Some((GoalPurpose::Revisit, [3.0, 2.0])))
+        (RobotAvailability::Revisiting, Some((GoalPurpose::Revisit, [2.0, 1.0])))
     );
     assert_eq!(step(4.0, 0.9, false).0, RobotAvailability::Revisiting, "until the loop is closed");
     assert!(exploring(step(4.0, 0.2, true)));
