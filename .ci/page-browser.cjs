@@ -45,20 +45,24 @@ async function open(browser, { sockets = false, base = url, robots = 2, ...optio
   page.on("pageerror", (error) => errors.push(error.message));
   page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
   await page.goto(base);
-  // A wait that fails says what the page shows.
-  const wait = page.waitForFunction.bind(page);
-  page.waitForFunction = (...args) => wait(...args).catch(async (error) => {
-    throw new Error([error.message, await describe(page).catch(() => "it does not answer"), ...errors].join("\n"));
-  });
+  explainWaits(page, errors);
   await waitForRobots(page, robots);
   return { page, errors };
 }
 
+/** From now on a wait that fails says what the page shows, and its errors. */
+function explainWaits(page, errors) {
+  const wait = page.waitForFunction.bind(page);
+  page.waitForFunction = (...args) => wait(...args).catch(async (error) => {
+    throw new Error([error.message, await describe(page).catch(() => "it does not answer"), ...errors].join("\n"));
+  });
+}
+
 /** Waits until all robots map. One that stands in a corridor does so too: it knows its place in one direction only. */
-const waitForRobots = (page, robots) => page.waitForFunction((count) => {
+const waitForRobots = (page, robots, wait = WAIT) => page.waitForFunction((count) => {
   const states = [...document.querySelectorAll(".robot .badge")].map((badge) => badge.textContent);
   return states.filter((state) => ["tracking", "degenerate"].includes(state)).length === count;
-}, robots, WAIT);
+}, robots, wait);
 
 /** Says what a page shows of the link and of the robots, and whether it draws. */
 const describe = (page) => page.evaluate(async () => {
@@ -105,4 +109,4 @@ async function watchSpeed(browser, robot = 1) {
   return page;
 }
 
-module.exports = { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, launch, open, serveFiles, url, waitForDriver, waitForRobots, waitForText, watchSpeed };
+module.exports = { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, explainWaits, launch, open, serveFiles, url, waitForDriver, waitForRobots, waitForText, watchSpeed };

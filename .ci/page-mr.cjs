@@ -5,7 +5,7 @@ const { execFileSync } = require("node:child_process");
 const { readFileSync } = require("node:fs");
 const { after, before, test } = require("node:test");
 const { chromium } = require("playwright-core");
-const { serveFiles, BROWSER_ARGS, waitForRobots } = require("./page-browser.cjs");
+const { serveFiles, BROWSER_ARGS, explainWaits, waitForRobots } = require("./page-browser.cjs");
 
 const { PAGE_URL: url, PAGE_OUT: out, PAGE_ROOM: roomFile, PAGE_EMULATOR: emulator, PAGE_PROGRAM: program, PAGE_RUN: run } = process.env;
 /** What has not come by then never comes, ms: the emulator draws few frames a second on a busy machine. */
@@ -74,7 +74,8 @@ class Headset {
     });
     await page.goto(url);
     await page.evaluate((scanned) => globalThis.quest.enter(scanned), room);
-    await waitForRobots(page, 2);
+    explainWaits(page, headset.errors);
+    await waitForRobots(page, 2, WAIT);
     return headset;
   }
 

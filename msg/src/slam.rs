@@ -95,6 +95,13 @@ impl Correction {
         }
     }
 
+    /// Standard deviation of the position in its least certain direction, metres.
+    pub fn position_sigma_m(&self) -> f64 {
+        let [xx, xy, _, yy, ..] = self.covariance;
+        // The larger eigenvalue of the position's part.
+        ((xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy)).sqrt()
+    }
+
     /// Decodes the state; an unknown code reads as lost.
     pub fn state(&self) -> TrackingState {
         TrackingState::from_code(self.state).unwrap_or(TrackingState::Lost)
@@ -148,6 +155,13 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_least_certain_direction_may_lie_between_the_axes() {
+        // Standard deviations of 3 m along the diagonal and of 1 m across it.
+        let correction = Correction { covariance: [5.0, 4.0, 0.0, 5.0, 0.0, 0.0], ..Correction::default() };
+        assert!((correction.position_sigma_m() - 3.0).abs() < 1e-12);
+    }
+
+    #[test]
     fn a_correction_in_a_turned_map_has_its_axes_swapped() {
         let correction = Correction {
             map_from_base: Pose2::new(1.0, 0.0, 0.0),
@@ -158,6 +172,7 @@ mod tests {
         assert!(
             (turned.map_from_base.x_m - 10.0).abs() < 1e-12 && (turned.map_from_base.y_m - 1.0).abs() < 1e-12
         );
+        assert!((turned.position_sigma_m() - correction.position_sigma_m()).abs() < 1e-12);
         let expected = [1.0, -0.5, -0.2, 4.0, 0.1, 0.3];
         assert!(turned.covariance.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{turned:?}");
     }

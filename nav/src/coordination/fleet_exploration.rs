@@ -44,8 +44,6 @@ pub struct FleetExploration {
     availability: [Option<RobotAvailability>; ROBOTS_MAX],
     lost: LostRobots,
     revisits: [Revisits; ROBOTS_MAX],
-    /// Where robots return to whose places have become uncertain, in their own maps.
-    known_places: [Option<Pose2>; ROBOTS_MAX],
     phase: CoordinationPhase,
     end: Option<ExplorationEnd>,
 }
@@ -62,7 +60,6 @@ impl FleetExploration {
             availability: [None; ROBOTS_MAX],
             lost: LostRobots::default(),
             revisits: core::array::from_fn(|_| Revisits::default()),
-            known_places: [None; ROBOTS_MAX],
             phase: CoordinationPhase::Exploring,
             end: None,
         }
@@ -195,8 +192,9 @@ impl FleetExploration {
         let pose = robot.observation.map_from_base.filter(|pose| pose.is_finite());
         let map_from_robot_map =
             if robot.observation.in_merged_map { robot.map_from_robot_map } else { Some(Pose2::IDENTITY) };
+        let robot_map_from_base = map_from_robot_map.zip(pose).map(|(map, pose)| map.inverse() * pose);
         let home = &mut self.homes[id.index()];
-        *home = home.or_else(|| Some(map_from_robot_map?.inverse() * pose?));
+        *home = home.or(robot_map_from_base);
         let state = navigator.robots().find(|navigation| navigation.robot == id).map(|n| n.state);
         let availability = match state {
             _ if is_silent(id) => RobotAvailability::Dead,
@@ -207,7 +205,6 @@ impl FleetExploration {
         };
         let sent = self.sent[id.index()].as_mut().zip(state);
         let progress = sent.map_or(GoalProgress::Idle, |(sent, state)| sent.progress(now, state));
-        let robot_map_from_base = map_from_robot_map.zip(pose).map(|(map, pose)| map.inverse() * pose);
         let availability = self.revisit(now, robot, robot_map_from_base, (availability, progress));
         self.availability[id.index()] = Some(availability);
         let home = map_from_robot_map.zip(self.homes[id.index()]).map(|(map, home)| map * home);
@@ -232,14 +229,12 @@ impl FleetExploration {
         let Some((robot_map_from_base, certainty)) = robot_map_from_base.zip(robot.certainty).filter(|_| may)
         else {
             revisits.interrupt();
-            self.known_places[index] = None;
             return availability;
         };
         let is_returning =
             self.sent[index].as_ref().is_some_and(|sent| sent.goal.purpose == GoalPurpose::Revisit);
         let progress = if is_returning { progress } else { GoalProgress::Idle };
         let place = revisits.step(now, robot_map_from_base, certainty, progress, known_m2);
-        self.known_places[index] = place;
         if place.is_some() { RobotAvailability::Revisiting } else { availability }
     }
 
@@ -276,11 +271,11 @@ impl FleetExploration {
             explored.known_m2 = map.known_m2();
         }
         explored.is_manual = robots.iter().all(|robot| robot.availability == RobotAvailability::Manual);
-        let is_searching = robots.iter().any(|robot| {
+        let looks_for_place = robots.iter().any(|robot| {
             self.lost.is_searching(robot.robot) || robot.availability == RobotAvailability::Revisiting
         });
         // Persons may keep robots as long as they like.
-        if explored.coordinator.has_explorers() || explored.is_manual || is_searching {
+        if explored.coordinator.has_explorers() || explored.is_manual || looks_for_place {
             explored.able_at = input.stamp;
         }
         let frame = if of.is_none() { GoalFrame::MergedMap } else { GoalFrame::RobotMap };
@@ -295,7 +290,7 @@ impl FleetExploration {
 
     /// The goal of a robot that returns to a place that it knows, in its own map: merging does not move it.
     fn known_place(&self, robot: RobotId) -> Option<RobotGoal> {
-        let place = self.known_places[robot.index()]?;
+        let place = self.revisits[robot.index()].destination()?;
         Some(RobotGoal {
             purpose: GoalPurpose::Revisit,
             position_m: [place.x_m, place.y_m],

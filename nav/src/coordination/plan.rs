@@ -67,9 +67,10 @@ impl FleetCoordinator {
         self.map.copy_window(&input.map, centre_m);
         for robot in input.robots {
             let Some(pose) = robot.map_from_base.filter(|pose| pose.is_finite()) else { continue };
-            let (space_m, occupancy) = match robot.availability {
-                RobotAvailability::Free | RobotAvailability::Revisiting => (OWN_SPACE_M, Occupancy::Free),
-                _ => (STANDING_SPACE_M, Occupancy::Occupied),
+            let (space_m, occupancy) = if robot.availability.explores() {
+                (OWN_SPACE_M, Occupancy::Free)
+            } else {
+                (STANDING_SPACE_M, Occupancy::Occupied)
             };
             let radius_m = self.config.body.radius_m + space_m;
             self.map.mark_disc([pose.x_m, pose.y_m], radius_m, occupancy);

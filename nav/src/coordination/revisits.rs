@@ -75,7 +75,12 @@ impl Default for Revisits {
 }
 
 impl Revisits {
-    /// Where a robot returns to, in its own map; `None`: it explores. `progress` is that of the way back, `known_m2` what the map shows, square metres.
+    /// Where the robot returns to, in its own map; `None`: it explores.
+    pub(super) fn destination(&self) -> Option<Pose2> {
+        self.current.as_ref().map(|current| current.to)
+    }
+
+    /// Begins, continues or ends a way back, and returns where it leads. `progress` is that of the way back, `known_m2` what the map shows, square metres.
     pub(super) fn step(
         &mut self,
         now: Stamp,
@@ -98,7 +103,7 @@ impl Revisits {
                 self.known_m2 = self.known_m2.max(known_m2);
                 self.begin(now, robot_map_from_base, certainty, Vec::new());
             }
-            return self.current.as_ref().map(|current| current.to);
+            return self.destination();
         };
         if progress.has_ended() || now - current.since >= WAY_MAX_S {
             current.ended = current.ended.or(Some(now));
@@ -107,7 +112,7 @@ impl Revisits {
             let tried = core::mem::take(&mut current.tried);
             self.begin(now, robot_map_from_base, certainty, tried);
         }
-        self.current.as_ref().map(|current| current.to)
+        self.destination()
     }
 
     /// Ends the way back of a robot that is lost, or that somebody took.

@@ -2,10 +2,10 @@
 
 use crate::channel;
 use crate::command::explore::Answer;
-use msg::{ExplorationReport, ExplorationStatus, ExplorerState, RobotId};
+use msg::{ExplorationReport, ExplorerState, RobotId};
 use serde::Serialize;
 
-/// An exploration whose states are read from the fleet's messages.
+/// An exploration, followed by the fleet's messages.
 pub(super) struct WatchedExploration {
     channel: String,
     newest: Box<ExplorationReport>,
@@ -30,7 +30,7 @@ impl WatchedExploration {
         Self { channel, newest: Box::default(), seconds: 0, lost_s: vec![0; robots] }
     }
 
-    /// Reads a message of the fleet.
+    /// Keeps a message that is a state of the exploration.
     pub(super) fn receive(&mut self, channel: &str, bytes: &[u8]) {
         if channel == self.channel {
             *self.newest = bytemuck::pod_read_unaligned(bytes);
@@ -39,8 +39,7 @@ impl WatchedExploration {
 
     /// Counts a second of the run.
     pub(super) fn end_second(&mut self) {
-        use ExplorationStatus::{Completed, Failed, Stopped};
-        if matches!(self.newest.status(), Completed | Failed | Stopped) {
+        if self.newest.status().is_final() {
             return;
         }
         self.seconds += 1;
@@ -49,6 +48,7 @@ impl WatchedExploration {
         }
     }
 
+    /// What the exploration came to until now.
     pub(super) fn outcome(self) -> ExplorationOutcome {
         let answer = Answer::new(&self.newest, self.lost_s.len(), f64::from(self.seconds));
         ExplorationOutcome { answer, lost_s: self.lost_s }

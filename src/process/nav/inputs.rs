@@ -221,11 +221,8 @@ fn planar_pose(link: &LinkTransform) -> Pose2 {
 
 /// How well SLAM knows a robot's place in its map.
 fn certainty(correction: &Correction) -> PlaceCertainty {
-    let [xx, xy, _, yy, ..] = correction.covariance;
-    // The larger eigenvalue of the position's part.
-    let variance_m2 = (xx + yy) / 2.0 + ((xx - yy) / 2.0).hypot(xy);
     PlaceCertainty {
-        sigma_m: variance_m2.sqrt(),
+        sigma_m: correction.position_sigma_m(),
         is_fixed_by_scan: correction.state() == TrackingState::Tracking,
     }
 }
