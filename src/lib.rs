@@ -23,7 +23,7 @@ pub mod allowed;
 pub mod certificate;
 pub mod control;
 pub mod merge_maps;
-pub mod merge_memory;
+pub mod merge_state_file;
 pub mod nasa_tlx;
 pub mod observer;
 pub mod offered_room;

@@ -233,7 +233,7 @@ impl Lockstep {
     pub fn sessions(&self) -> impl Iterator<Item = (RobotId, Session)> + '_ {
         self.members.iter().filter_map(|member| {
             let slam = &member.slam()?.process;
-            Some((member.robot?, slam.back_end.session(&slam.scan_path.front_state())))
+            Some((member.robot?, slam.back_end.session(&slam.front_end_loop.front_state())))
         })
     }
 

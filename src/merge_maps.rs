@@ -28,7 +28,7 @@ struct Prefix {
     reserved: u32,
     /// Start of the run, which tells it from others in the same folder.
     run: u64,
-    slam_received: Monotonic,
+    correction_received: Monotonic,
     map: MapHeader,
 }
 
@@ -38,7 +38,7 @@ pub struct HeldMap {
     /// The newest map that its SLAM sent.
     pub map: TileMap,
     /// Time of the newest answer of its SLAM to a scan.
-    pub slam_received: Monotonic,
+    pub correction_received: Monotonic,
 }
 
 /// Reason why a file cannot be used.
@@ -132,9 +132,9 @@ impl<S: Storage> MapFiles<S> {
         }
     }
 
-    fn encode(&self, HeldMap { map, slam_received }: &HeldMap) -> Vec<u8> {
-        let (run, slam_received) = (self.run, *slam_received);
-        let prefix = Prefix { version: VERSION, reserved: 0, run, slam_received, map: map.header };
+    fn encode(&self, HeldMap { map, correction_received }: &HeldMap) -> Vec<u8> {
+        let (run, correction_received) = (self.run, *correction_received);
+        let prefix = Prefix { version: VERSION, reserved: 0, run, correction_received, map: map.header };
         let mut bytes = bytemuck::bytes_of(&prefix).to_vec();
         map.tiles().for_each(|tile| bytes.extend_from_slice(bytemuck::bytes_of(&**tile)));
         bytes
@@ -160,7 +160,7 @@ impl<S: Storage> MapFiles<S> {
             }
             map.set(x, y, Some(tile.into()));
         }
-        let held = HeldMap { map, slam_received: prefix.slam_received };
+        let held = HeldMap { map, correction_received: prefix.correction_received };
         if held.map.header.is_valid() { Ok(held) } else { Err(Unusable::Map) }
     }
 }
@@ -196,7 +196,7 @@ mod tests {
             assert!(map.grow_to(Rect::single(x, y), MAP_TILES_MAX));
             map.get_mut(x, y).unwrap().cells[9] = cell;
         }
-        HeldMap { map, slam_received: Monotonic(11) }
+        HeldMap { map, correction_received: Monotonic(11) }
     }
 
     #[test]
@@ -210,7 +210,10 @@ mod tests {
         files.save(&slot, Monotonic(1));
         let restored = files.restore([robot()].into_iter());
         let (of, read) = &restored[0];
-        assert_eq!((*of, read.map.header, read.slam_received), (robot(), map().map.header, Monotonic(11)));
+        assert_eq!(
+            (*of, read.map.header, read.correction_received),
+            (robot(), map().map.header, Monotonic(11))
+        );
         assert!(read.map.tiles().eq(map().map.tiles()));
         // Nothing is written between the periods, and nothing that did not change.
         slot.put(robot(), HeldMap { map: TileMap::default(), ..map() });

@@ -1,6 +1,6 @@
 //! A ROS 2 peer in a process of its own, with a reliable reader of everything a fleet of three says.
 
-use bridge::dds::{Adapter, Raw};
+use bridge::dds::{CdrPassthrough, SerializedMessage};
 use ros2_client::dds::rustdds::no_key::SimpleDataReader;
 use ros2_client::dds::rustdds::policy::{Durability, History};
 use ros2_client::dds::rustdds::{
@@ -74,7 +74,7 @@ pub fn listen(domain: u16, length: Duration) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-type Reader = SimpleDataReader<Raw, Adapter>;
+type Reader = SimpleDataReader<SerializedMessage, CdrPassthrough>;
 
 fn reader(
     subscriber: &Subscriber,

@@ -70,7 +70,7 @@ pub struct Outcome {
     /// Closures taken back.
     pub retracted: u64,
     /// Nodes that are not tied to the map.
-    pub disconnected: usize,
+    pub untied: usize,
     /// Evidence that the map is wrong.
     pub doubts: MapDoubts,
     /// Closures in force that are not true, if the truth is known.
@@ -241,7 +241,7 @@ impl Outcome {
         let (counts, done) = (front.counts(), back.counts());
         (self.scans, self.lost) = (counts.accepted, counts.lost);
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
-        (self.retracted, self.disconnected) = (done.retracted, done.disconnected);
+        (self.retracted, self.untied) = (done.retracted, done.untied);
         self.doubts = back.doubts();
     }
 

@@ -15,7 +15,7 @@
 //! `--logs varied` (10 to 20 minutes, mostly a few rows; `varied/csail`: one log): the logs as other robots would have made
 //! them (`varied.rs`), to find where the default configuration generalises badly. `--logs generated [--seeds 0..400[/8]]`: buildings, robots and accidents drawn from
 //! seeds, with known truth (`generated/`); seeds from 10000 on are held back from tuning. `--maps DIR` writes
-//! every log's map there, as YAML, PGM and PNG. `--scale links.floor_rad=1.3` multiplies a number of SLAM's configuration, and can
+//! every log's map there, as YAML, PGM and PNG. `--scale links.sigma_min_rad=1.3` multiplies a number of SLAM's configuration, and can
 //! be given more than once (`scripts/slam-sensitivity` does so with all numbers in turn).
 
 mod drive;

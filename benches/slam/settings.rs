@@ -12,12 +12,12 @@ pub fn slam_config() -> SlamConfig {
     SCALED.get().cloned().unwrap_or_else(recorded_log_slam)
 }
 
-/// Multiplies numbers of the configuration, for the whole process: `KEY=FACTOR`, as `links.floor_rad=1.3`. A whole number
+/// Multiplies numbers of the configuration, for the whole process: `KEY=FACTOR`, as `links.sigma_min_rad=1.3`. A whole number
 /// changes by one at least.
 pub fn scale(factors: &[String]) -> Result<(), String> {
     let mut config = serde_json::to_value(recorded_log_slam()).map_err(|why| why.to_string())?;
     for text in factors {
-        let wrong = |why: &str| format!("--scale {text}: {why}, as links.floor_rad=1.3");
+        let wrong = |why: &str| format!("--scale {text}: {why}, as links.sigma_min_rad=1.3");
         let (key, factor) = text.split_once('=').ok_or_else(|| wrong("expected KEY=FACTOR"))?;
         let factor: f64 = factor.parse().map_err(|_| wrong("expected a number after ="))?;
         let value = config.pointer_mut(&format!("/{}", key.replace('.', "/")));

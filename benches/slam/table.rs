@@ -203,7 +203,7 @@ pub fn varied(outcomes: &[crate::VariedLog]) {
         "scans",
         "lost",
         "nodes",
-        "disconnected",
+        "untied",
         "closures",
         "wrong",
         "wall s",
@@ -228,7 +228,7 @@ pub fn varied(outcomes: &[crate::VariedLog]) {
             o.scans,
             o.lost,
             o.nodes,
-            o.disconnected,
+            o.untied,
             format!("{}-{}", o.closures, o.retracted),
             format!("{}, {}", o.wrong_closures, o.wrong_links),
             o.wall_s,
@@ -236,7 +236,7 @@ pub fn varied(outcomes: &[crate::VariedLog]) {
         );
     }
     println!(
-        "in map: relations between places that are tied to the map; disconnected: nodes that are not; wrong: closures and links in force that the log as it is contradicts"
+        "in map: relations between places that are tied to the map; untied: nodes that are not; wrong: closures and links in force that the log as it is contradicts"
     );
 }
 

@@ -1,13 +1,13 @@
 //! The fleet's topics towards ros_tcp clients.
 
-mod map_tiles;
-mod map_updates;
+mod changed_area;
+mod changed_tiles;
 mod odom_frames;
 mod publisher;
 mod static_transforms;
 mod table;
 
-pub use publisher::{FleetMessage, FleetPublisher, LinkTransforms, TopicSink};
+pub use publisher::{FleetMessage, FleetPublisher, LinkTransformPolicy, TopicSink};
 pub use table::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
 
 use crate::input::{ADD_ZONE, EXPLORE, Input, REMOVE_ZONE};
@@ -99,7 +99,7 @@ impl FleetTopics {
             };
             named.map(add).collect()
         });
-        let publisher = FleetPublisher::new(style, robots, LinkTransforms::OnTf);
+        let publisher = FleetPublisher::new(style, robots, LinkTransformPolicy::OnTf);
         Self { publisher, ids, velocity, selected_velocity }
     }
 

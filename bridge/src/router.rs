@@ -25,7 +25,7 @@ use crate::config::BridgeConfig;
 use crate::frame::{IDLE_BYTES, Side};
 use buffers::SharedFrame;
 use link::Urgency;
-use memory::ClientMemory;
+use memory::ClientByteBudget;
 use outgoing::{MapRole, memory_bytes};
 use ros_messages::cdr::{Dialect, Writer};
 use ros_messages::{Message as _, OccupancyGrid, OccupancyGridUpdate};
@@ -75,7 +75,7 @@ pub struct TopicRouter {
     latched_bytes: usize,
     latched_bytes_max: usize,
     /// What is held for clients.
-    pub memory: ClientMemory,
+    pub memory: ClientByteBudget,
 }
 
 impl TopicRouter {
@@ -91,7 +91,7 @@ impl TopicRouter {
             queue_bytes_max: config.outbox_bytes_max,
             latched_bytes: 0,
             latched_bytes_max: config.latched_bytes_max,
-            memory: ClientMemory::new(config.limits.held_bytes_max),
+            memory: ClientByteBudget::new(config.limits.held_bytes_max),
         }
     }
 

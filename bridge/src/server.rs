@@ -138,7 +138,7 @@ impl ClientSocket for TcpSocket {
 }
 
 /// Disconnects the client however its task ends.
-struct Connection<'a> {
+struct ClientGuard<'a> {
     bridge: &'a Bridge,
     id: ClientId,
     stream: &'a TcpStream,
@@ -146,7 +146,7 @@ struct Connection<'a> {
     clock: fn() -> Monotonic,
 }
 
-impl Drop for Connection<'_> {
+impl Drop for ClientGuard<'_> {
     fn drop(&mut self) {
         self.bridge.disconnect(self.id);
     }
@@ -162,7 +162,7 @@ async fn run_client(bridge: Rc<Bridge>, stream: TcpStream, peer: SocketAddr, clo
             return drain_and_close(&stream, refusal(bridge.dialect(), &error)).await;
         }
     };
-    let connection = Connection { bridge: &bridge, id, stream: &stream, wake: &wake, clock };
+    let connection = ClientGuard { bridge: &bridge, id, stream: &stream, wake: &wake, clock };
     if let ConnectionEnd::InvalidStream(why) = serve_client(&connection).await {
         bridge.drop_client(id, why);
     }
@@ -181,8 +181,8 @@ enum ConnectionEnd {
 }
 
 /// Reads and writes until the connection ends.
-async fn serve_client(connection: &Connection<'_>) -> ConnectionEnd {
-    let Connection { bridge, id, stream, wake, .. } = *connection;
+async fn serve_client(connection: &ClientGuard<'_>) -> ConnectionEnd {
+    let ClientGuard { bridge, id, stream, wake, .. } = *connection;
     let mut parser = Parser::new(bridge.frame_bytes_max());
     while let Ok(is_blocked) = bridge.is_blocked(id) {
         let interest = if is_blocked { Interest::READABLE | Interest::WRITABLE } else { Interest::READABLE };
@@ -205,7 +205,7 @@ async fn serve_client(connection: &Connection<'_>) -> ConnectionEnd {
 }
 
 /// Reads once and handles the frames that are complete; `Some` at the end of the connection.
-async fn read_frames(connection: &Connection<'_>, parser: &mut Parser) -> Option<ConnectionEnd> {
+async fn read_frames(connection: &ClientGuard<'_>, parser: &mut Parser) -> Option<ConnectionEnd> {
     match read(connection.stream, parser.space()) {
         Ok(0) => return Some(ConnectionEnd::Closed),
         Ok(count) => parser.filled(count),
@@ -232,7 +232,7 @@ async fn read_frames(connection: &Connection<'_>, parser: &mut Parser) -> Option
 }
 
 /// Asks whether the rest of a large frame may be received, and skips it if not.
-fn check_large_frame(connection: &Connection<'_>, parser: &mut Parser) {
+fn check_large_frame(connection: &ClientGuard<'_>, parser: &mut Parser) {
     let size = parser.next_size();
     match parser.incomplete() {
         Some(frame) if frame.frame_bytes > IDLE_BYTES => {

@@ -9,7 +9,7 @@ pub trait Transport {
     /// Publishes a message on its topics. Returns without waiting.
     fn publish(&self, message: FleetMessage<'_>);
     /// Returns whether somebody receives a robot's topic now.
-    fn is_read(&self, topic: FleetTopic, robot: RobotId) -> bool;
+    fn has_subscriber(&self, topic: FleetTopic, robot: RobotId) -> bool;
 }
 
 impl Transport for Bridge {
@@ -17,7 +17,7 @@ impl Transport for Bridge {
         self.publish(message);
     }
 
-    fn is_read(&self, topic: FleetTopic, robot: RobotId) -> bool {
+    fn has_subscriber(&self, topic: FleetTopic, robot: RobotId) -> bool {
         self.is_subscribed(topic, robot)
     }
 }

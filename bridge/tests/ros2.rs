@@ -1,7 +1,7 @@
 //! The ROS 2 endpoint against another implementation's node on loopback: ros2-client's own readers and writers.
 //! `.ci/interop` tests it against ROS 2 itself.
 
-use bridge::dds::{DdsConfig, DdsEndpoint, RosLink};
+use bridge::dds::{DdsConfig, DdsEndpoint, DdsQueues};
 use bridge::world::ExternalWorld;
 use bridge::{Bridge, BridgeConfig, FleetMessage, Transport, process_clock};
 use futures::StreamExt;
@@ -166,7 +166,7 @@ impl Message for SaveMapResponse {}
 fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
     run(async {
         let config = config(75);
-        let link = Arc::new(RosLink::default());
+        let link = Arc::new(DdsQueues::default());
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
         let bridge = Rc::new(Bridge::new(config.clone(), 1, |_, _| {}).unwrap());
         // SLAM saves the map that is named `monday` only.
@@ -212,7 +212,7 @@ fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
 fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
     run(async {
         let config = config(50);
-        let link = Arc::new(RosLink::default());
+        let link = Arc::new(DdsQueues::default());
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
         let commands = Rc::new(RefCell::new(Vec::<VelocityCommand>::new()));
         let taken = commands.clone();
@@ -247,7 +247,7 @@ fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
 }
 
 /// Passes what the endpoint and the bridge tell each other.
-fn connect(bridge: &Rc<Bridge>, endpoint: &Rc<DdsEndpoint>, link: Arc<RosLink>) {
+fn connect(bridge: &Rc<Bridge>, endpoint: &Rc<DdsEndpoint>, link: Arc<DdsQueues>) {
     let (receiver, commands) = (bridge.clone(), link.clone());
     bridge.on_ros_command(move |command| commands.send_command(command));
     spawn_local(endpoint.clone().serve());
@@ -263,7 +263,7 @@ fn a_robot_stops_at_once_when_its_writer_is_gone_and_the_stop_can_be_read() {
     run(async {
         let mut config = config(12);
         config.velocity.timeout_s = 10.0;
-        let link = Arc::new(RosLink::default());
+        let link = Arc::new(DdsQueues::default());
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
         let commands = Rc::new(RefCell::new(Vec::<f64>::new()));
         let taken = commands.clone();
@@ -306,7 +306,7 @@ fn a_robot_stops_at_once_when_its_writer_is_gone_and_the_stop_can_be_read() {
 fn an_external_robot_that_begins_to_listen_is_sent_a_zero() {
     run(async {
         let config = config(37);
-        let link = Arc::new(RosLink::default());
+        let link = Arc::new(DdsQueues::default());
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, true, link.clone()).unwrap());
         let robots = endpoint.clone();
         let send = move |robot, command: VelocityCommand| robots.publish_velocity(robot, &command);

@@ -1,7 +1,7 @@
 //! Topics between a client and ROS nodes through the bridge and its ROS 2 endpoint: ros2-client is the other side.
 
 use bridge::command::{Call, Registration, name};
-use bridge::dds::{DdsConfig, DdsEndpoint, RosLink};
+use bridge::dds::{DdsConfig, DdsEndpoint, DdsQueues};
 use bridge::frame::{Parser, Side};
 use bridge::{Bridge, BridgeConfig, ClientId, process_clock};
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
@@ -43,7 +43,7 @@ impl Ours {
         let domain = (101 + (std::process::id() * 7 + offset) % 100) as u16;
         let dds = DdsConfig { enabled: true, domain: domain.into(), ..DdsConfig::default() };
         let config = BridgeConfig { dds, ..BridgeConfig::default() };
-        let link = Arc::new(RosLink::default());
+        let link = Arc::new(DdsQueues::default());
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
         spawn_local(endpoint.serve());
         let bridge = Rc::new(Bridge::new(config.clone(), 1, |_, _| {}).unwrap());

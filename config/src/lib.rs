@@ -89,7 +89,7 @@ impl World {
 
 /// SLAM's configuration for recorded logs of unknown robots; the default of `replay` and of the benches on logs.
 ///
-/// Nothing is known of these robots' wheels and gyroscopes. The odometry's standard deviations are therefore two to six
+/// Nothing is known of these robots' wheels and gyroscopes. The odometry's standard deviations are therefore two to ten
 /// times those of [`burger_slam`]: 0.1 m per metre driven, 0.2 rad per radian turned and 0.06 rad per metre driven. With
 /// the TurtleBot3's values, odometry that is worse would outweigh the scans.
 pub fn recorded_log_slam() -> slam::SlamConfig {
@@ -135,8 +135,9 @@ pub struct Fleet {
     /// Starts of the robots in the room, or in `map` if the world is not simulated: `[x, y, yaw]` in metres and radians,
     /// one for each robot. Empty: places are chosen, or, if the world is not simulated, all but the first are unknown.
     pub starts: Vec<[f64; 3]>,
-    /// Whether merging knows the robots' starts. If not, `map` is the first robot's map, and the others join it when
-    /// comparing maps has shown where they lie.
+    /// Whether merging knows the robots' starts. If not, `map` is the map of the first robot that sends one, and the
+    /// others join it when comparing maps has shown where they lie. When a larger group is joined, `map` is the map of
+    /// that group's first robot; a group that was connected to `map` keeps it.
     pub starts_known: bool,
     /// Whether the furniture that a room's file names, such as tables and beds, keeps robots out of its outline on the
     /// floor: as exclusion zones from the start. Simulated robots whose starts are known.

@@ -153,21 +153,21 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
     let (field_a, field_b) = (DistanceField::new(points_a, a, walls), DistanceField::new(points_b, b, walls));
     let fields = [&field_a, &field_b];
     let places = refine_candidates(fields, &candidates);
-    let (best, margins) = PlaceJudge::new(fields).choose_place(&places, config)?;
+    let (best, margins) = CandidateVerifier::new(fields).choose_place(&places, config)?;
     let a_from_b =
         field_a.points.frame_from_centred * best.fine.a_from_b * field_b.points.frame_from_centred.inverse();
     Some(judge([a, b], a_from_b, &best, margins, config))
 }
 
 /// A place that was refined by many points.
-struct Place {
+struct RefinedCandidate {
     /// The walls of both maps there.
     fine: WallMatch,
     /// The objects of both maps there.
     objects: ObjectMatch,
 }
 
-impl Place {
+impl RefinedCandidate {
     /// Whether neither walls nor objects contradict it.
     fn is_possible(&self, config: &AlignConfig) -> bool {
         self.fine.conflict() <= config.conflict_max && self.objects.conflict() <= config.object_conflict_max
@@ -175,23 +175,27 @@ impl Place {
 }
 
 /// Two maps with their objects.
-struct PlaceJudge<'a> {
+struct CandidateVerifier<'a> {
     fields: [&'a DistanceField; 2],
     objects: [ObjectPoints; 2],
 }
 
-impl<'a> PlaceJudge<'a> {
+impl<'a> CandidateVerifier<'a> {
     fn new(fields: [&'a DistanceField; 2]) -> Self {
         Self { fields, objects: fields.map(ObjectPoints::new) }
     }
 
     /// Adds the objects to the walls.
-    fn place(&self, fine: WallMatch) -> Place {
-        Place { fine, objects: match_objects(self.fields, self.objects.each_ref(), fine.a_from_b) }
+    fn place(&self, fine: WallMatch) -> RefinedCandidate {
+        RefinedCandidate { fine, objects: match_objects(self.fields, self.objects.each_ref(), fine.a_from_b) }
     }
 
     /// Returns the best place with its margins over all others.
-    fn choose_place(&self, places: &[WallMatch], config: &AlignConfig) -> Option<(Place, Margins)> {
+    fn choose_place(
+        &self,
+        places: &[WallMatch],
+        config: &AlignConfig,
+    ) -> Option<(RefinedCandidate, Margins)> {
         let finalists = places.iter().take(FINALISTS).map(|coarse| refine_finely(self.fields, coarse));
         let best = self.place(finalists.max_by(|x, y| x.score().total_cmp(&y.score()))?);
         let is_other = |other: &&WallMatch| !is_same_place(other.a_from_b, best.fine.a_from_b);
@@ -245,7 +249,7 @@ pub fn align_near(
     let refined = refine(fields, from_a.inverse() * a_from_b * from_b, strides, COARSE_KERNELS_M);
     let matched = match_walls(fields, refined, strides);
     let config = without_margins(config);
-    let place = PlaceJudge::new(fields).place(matched);
+    let place = CandidateVerifier::new(fields).place(matched);
     Some(judge([a, b], from_a * refined * from_b.inverse(), &place, Margins::default(), &config))
 }
 
@@ -263,7 +267,7 @@ pub(crate) fn evaluate(
     let fields = [a, b].map(|map| DistanceField::of_map(map, &config.walls));
     let fields = [&fields[0], &fields[1]];
     let matched = match_walls_at(fields, a_from_b);
-    let place = PlaceJudge::new(fields).place(matched);
+    let place = CandidateVerifier::new(fields).place(matched);
     let config = without_margins(config);
     Some(judge([a, b], a_from_b, &place, Margins::default(), &config))
 }
@@ -361,7 +365,7 @@ fn compare_cells(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, config: &Wal
 fn judge(
     [a, b]: [GridView<'_>; 2],
     a_from_b: Pose2,
-    place: &Place,
+    place: &RefinedCandidate,
     margins: Margins,
     config: &AlignConfig,
 ) -> Alignment {

@@ -50,7 +50,7 @@ use msg::{
 use pair::{RobotPair, pair_count, robots_of_pair};
 use robot::{Robot, next_redraw};
 use std::sync::Arc;
-use submaps::SubmapGeneration;
+use submaps::SubmapSource;
 use task::{Job, JobResult};
 
 /// Alignments of each pair when nothing grows any more: both whole maps and each window, twice.
@@ -293,7 +293,7 @@ impl FleetPoseGraph {
         out.len = written as u32;
         out.left_out = (self.pairs.len() - written) as u32;
         let contradicted = self.robots.iter().enumerate().filter(|(_, robot)| robot.is_start_contradicted);
-        out.contradicted = contradicted.fold(0, |bits, (index, _)| bits | 1 << index);
+        out.contradicted_start_bits = contradicted.fold(0, |bits, (index, _)| bits | 1 << index);
     }
 
     /// Returns the number of solutions of the joint graph so far.
@@ -345,7 +345,7 @@ impl FleetPoseGraph {
         a.zip(b).map(|(a, b)| a.between(b))
     }
 
-    fn generations(&self) -> Vec<Option<SubmapGeneration>> {
+    fn generations(&self) -> Vec<Option<SubmapSource>> {
         self.robots.iter().map(|robot| robot.submaps.generation()).collect()
     }
 
@@ -360,11 +360,7 @@ impl FleetPoseGraph {
 
     /// Handles submaps of a new generation. A SLAM that was restarted, or that forgets nodes, continues in the same
     /// frame with new submaps: the robot keeps its transform, and loses submaps and closures.
-    fn check_generation(
-        &mut self,
-        robot: RobotId,
-        generation: SubmapGeneration,
-    ) -> Result<(), SubmapRejected> {
+    fn check_generation(&mut self, robot: RobotId, generation: SubmapSource) -> Result<(), SubmapRejected> {
         let index = robot.index();
         let known = self.robots.get_mut(index).ok_or(SubmapRejected::UnknownRobot(robot))?;
         match known.submaps.generation() {

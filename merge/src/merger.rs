@@ -351,6 +351,4 @@ fn mark(stale: &mut [bool], extent: Rect, tiles: Rect) {
 }
 
 #[cfg(test)]
-mod peers;
-#[cfg(test)]
 mod tests;

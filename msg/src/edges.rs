@@ -140,7 +140,7 @@ pub struct MergeEdges {
     pub left_out: u32,
     /// Robots whose given start the maps contradict, as bits by [`RobotId::index`]. Read them by
     /// [`MergeEdges::contradicted_starts`].
-    pub contradicted: u64,
+    pub contradicted_start_bits: u64,
     /// Edges in the order of pairs of robots (1, 2), (1, 3), (2, 3), (1, 4) and so on. Of a fleet with more pairs than
     /// places, those that were never found are left out first.
     pub edges: [MergeEdge; MERGE_EDGES_MAX],
@@ -160,7 +160,7 @@ impl MergeEdges {
 
     /// Returns the robots whose given start the maps contradict. These starts are not used.
     pub fn contradicted_starts(&self) -> impl Iterator<Item = RobotId> {
-        RobotId::first(ROBOTS_MAX).filter(|robot| self.contradicted & (1 << robot.index()) != 0)
+        RobotId::first(ROBOTS_MAX).filter(|robot| self.contradicted_start_bits & (1 << robot.index()) != 0)
     }
 }
 

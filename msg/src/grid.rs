@@ -77,16 +77,6 @@ pub fn percent_table() -> [i8; 256] {
     })
 }
 
-/// Frame in which a grid lies.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u32)]
-pub enum GridFrame {
-    /// Frame `robotK/map`: one robot's loop-closed map.
-    RobotMap = 1,
-    /// Frame `map`: the fleet's merged map.
-    Map = 2,
-}
-
 /// Size, resolution and pose of a grid. Cells are row-major; row 0 has the lowest y.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]

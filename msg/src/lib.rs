@@ -5,7 +5,7 @@
 //! stored as codes and read by a checked accessor. Lengths are read through accessors that clamp them.
 //!
 //! Units are SI and radians; f32 in measurements, f64 in poses. The modules [`pose`] and [`time`] explain
-//! frames and times. The table in the binary's `channel.rs` lists the writer and the readers of each message.
+//! frames and times. The table in `runtime/src/channel/table.rs` lists the writer and the readers of each message.
 //!
 //! A function that needs a map takes a borrowed [`GridView`], which leaves the ownership of the cells open:
 //!

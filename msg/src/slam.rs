@@ -137,7 +137,7 @@ pub struct MapTransforms {
     pub robots: [MapTransform; ROBOTS_MAX],
     /// Time at which merging last received an answer of each robot's SLAM to a scan; zero: never. Until then the robot's
     /// part of the merged map is up to date.
-    pub slam_received: [Monotonic; ROBOTS_MAX],
+    pub correction_received: [Monotonic; ROBOTS_MAX],
 }
 
 /// Age from which a robot's part of the merged map counts as old, seconds. It reaches a reader up to 0.5 s late, and a

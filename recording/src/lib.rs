@@ -2,6 +2,27 @@
 //!
 //! [`RecordingWriter`] makes the bytes of a file; the caller writes them. [`RecordingReader`] reads such files and
 //! those of rosbag2, up to the place where a broken one ends. [`bag`] finds the scans and the odometry of a robot in them.
+//!
+//! ```
+//! use msg::Stamp;
+//! use recording::{Durability, RecordingReader, RecordingWriter};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let mut writer = RecordingWriter::new(&Default::default())?;
+//! let topic = writer.add_topic("/chatter", "std_msgs/String", Durability::Volatile)?;
+//! // CDR: encapsulation, length, text with its end.
+//! let payload = [0, 1, 0, 0, 3, 0, 0, 0, b'h', b'i', 0];
+//! writer.write(topic, Stamp::from_seconds(1.5), &payload)?;
+//! let file = writer.finish()?;
+//!
+//! let mut reader = RecordingReader::new(&file[..]);
+//! let message = reader.next_message()?.expect("one message");
+//! assert_eq!((&*message.topic, &*message.message_type), ("/chatter", "std_msgs/String"));
+//! assert_eq!((message.at, &message.payload[..]), (Stamp::from_seconds(1.5), &payload[..]));
+//! assert!(reader.next_message()?.is_none() && reader.broken().is_none());
+//! # Ok(())
+//! # }
+//! ```
 
 pub mod bag;
 pub mod fleet;

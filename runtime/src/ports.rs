@@ -77,7 +77,7 @@ pub trait ReadPort<T: Message> {
         newest
     }
     /// Returns the counts of messages received and missed so far.
-    fn gaps(&self) -> Gaps;
+    fn gaps(&self) -> ReceiveCounts;
 }
 
 /// Writes a map's channel: the tiles that changed, and the whole map to readers that request it.
@@ -100,7 +100,7 @@ pub trait ReadMapPort {
     /// Returns the newest complete version, which has no tiles before the first.
     fn map(&self) -> &TileMap;
     /// Returns the counts of messages received and missed so far.
-    fn gaps(&self) -> Gaps;
+    fn gaps(&self) -> ReceiveCounts;
 }
 
 /// Opens channels on behalf of one process, or one thread of it.
@@ -134,12 +134,12 @@ pub trait Ports {
 
 /// Numbers and stamps a writer's messages.
 #[derive(Clone, Debug)]
-pub struct Stamper {
+pub struct MessageSequencer {
     run: u64,
     seq: u64,
 }
 
-impl Stamper {
+impl MessageSequencer {
     /// `run` tells this incarnation of the writer from an earlier one.
     pub fn new(run: u64) -> Self {
         Self { run, seq: 0 }
@@ -159,7 +159,7 @@ impl Stamper {
 
 /// Counts what a reader received and what it missed, by the numbers its writer gave.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Gaps {
+pub struct ReceiveCounts {
     /// Messages received since the reader opened the channel.
     pub received: u64,
     /// Messages sent after this reader's first and never received.
@@ -170,7 +170,7 @@ pub struct Gaps {
     next: u64,
 }
 
-impl Gaps {
+impl ReceiveCounts {
     /// Counts a message that was received.
     pub fn count(&mut self, header: &Header) {
         if header.incarnation != self.run {

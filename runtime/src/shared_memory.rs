@@ -13,7 +13,7 @@ pub use maps::{MapReader, MapWriter};
 
 use crate::channel::{Channel, Direction, Opener};
 use crate::clock::{SystemClock, now};
-use crate::ports::{ChannelError, Gaps, Ports, ReadPort, Stamper, WritePort};
+use crate::ports::{ChannelError, MessageSequencer, Ports, ReadPort, ReceiveCounts, WritePort};
 use bytemuck::{Pod, TransparentWrapper};
 use iceoryx2::port::listener::Listener as IpcListener;
 use iceoryx2::port::notifier::Notifier;
@@ -90,7 +90,7 @@ impl Participant {
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
             .map_err(failed("cannot write channel", &channel.name))?;
-        Ok(Writer { publisher, stamper: Stamper::new(self.run), notifier: self.notifier(channel)? })
+        Ok(Writer { publisher, stamper: MessageSequencer::new(self.run), notifier: self.notifier(channel)? })
     }
 
     /// Opens a channel to read.
@@ -102,7 +102,7 @@ impl Participant {
             .buffer_size(channel.row.depth)
             .create()
             .map_err(failed("cannot read channel", &channel.name))?;
-        Ok(Reader { subscriber, gaps: Gaps::default() })
+        Ok(Reader { subscriber, gaps: ReceiveCounts::default() })
     }
 
     /// Opens or creates the channel. Both ends use the same settings, so either may come first.
@@ -165,7 +165,7 @@ fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
 /// Writes one channel in shared memory.
 pub struct Writer<T: Message> {
     publisher: Publisher<ipc::Service, Shared<T>, ()>,
-    stamper: Stamper,
+    stamper: MessageSequencer,
     notifier: Option<Notifier<ipc::Service>>,
 }
 
@@ -215,7 +215,7 @@ impl<T: Message> WritePort<T> for Writer<T> {
 /// Reads one channel in shared memory.
 pub struct Reader<T: Message> {
     subscriber: Subscriber<ipc::Service, Shared<T>, ()>,
-    gaps: Gaps,
+    gaps: ReceiveCounts,
 }
 
 impl<T: Message> Reader<T> {
@@ -232,7 +232,7 @@ impl<T: Message> Reader<T> {
     }
 
     /// Returns the counts of messages received and missed so far.
-    pub fn gaps(&self) -> Gaps {
+    pub fn gaps(&self) -> ReceiveCounts {
         self.gaps
     }
 }
@@ -242,7 +242,7 @@ impl<T: Message> ReadPort<T> for Reader<T> {
     fn receive(&mut self) -> Option<Received<T>> {
         Reader::receive(self)
     }
-    fn gaps(&self) -> Gaps {
+    fn gaps(&self) -> ReceiveCounts {
         self.gaps
     }
 }

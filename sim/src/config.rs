@@ -183,7 +183,7 @@ pub struct NoiseConfig {
     /// square root of the distance.
     pub wheel_walk_m_per_sqrt_m: f64,
     /// Sensor from which odometry takes the heading.
-    pub heading: Heading,
+    pub heading: HeadingSource,
     /// Relative error of the gyroscope's scale, drawn once per run.
     pub gyro_scale_std: f64,
     /// Error of the gyroscope's heading after one radian of turning, radians: a random walk.
@@ -193,7 +193,7 @@ pub struct NoiseConfig {
 /// Sensor from which odometry takes the heading.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Heading {
+pub enum HeadingSource {
     /// Uses the gyroscope, as TurtleBot3's driver does by default.
     #[default]
     Gyro,
@@ -210,7 +210,7 @@ impl NoiseConfig {
         wheel_scale_std: 0.0,
         wheel_separation_std: 0.0,
         wheel_walk_m_per_sqrt_m: 0.0,
-        heading: Heading::Gyro,
+        heading: HeadingSource::Gyro,
         gyro_scale_std: 0.0,
         gyro_walk_rad_per_sqrt_rad: 0.0,
     };
@@ -251,7 +251,7 @@ impl Default for NoiseConfig {
             wheel_scale_std: 0.002,
             wheel_separation_std: 0.01,
             wheel_walk_m_per_sqrt_m: 0.001,
-            heading: Heading::Gyro,
+            heading: HeadingSource::Gyro,
             gyro_scale_std: 0.005,
             gyro_walk_rad_per_sqrt_rad: 0.005,
         }

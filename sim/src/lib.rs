@@ -20,9 +20,9 @@ mod peers;
 mod room;
 mod simulator;
 
-pub use config::{ConfigError, Heading, LidarConfig, Limits, NoiseConfig, SimConfig};
+pub use config::{ConfigError, HeadingSource, LidarConfig, Limits, NoiseConfig, SimConfig};
 pub use room::{
     AccessorError, AnchorError, EntityError, Furniture, GltfError, MeshError, MrukError, ObjError,
     PolygonError, Room, RoomError, RoomKind, SceneError, StartError,
 };
-pub use simulator::{Simulator, Tick, transforms_of};
+pub use simulator::{Simulator, StepOutput, transforms_of};

@@ -19,11 +19,11 @@ pub(crate) struct Lidar {
     config: LidarConfig,
     /// Unit directions of the beams in `base_scan`.
     directions: Vec<Vec3>,
-    errors: RangeErrors,
+    errors: RangeNoise,
 }
 
 impl Lidar {
-    pub(crate) fn new(config: LidarConfig, errors: RangeErrors) -> Self {
+    pub(crate) fn new(config: LidarConfig, errors: RangeNoise) -> Self {
         let (first_rad, increment_rad) = (config.angle_min_deg.to_radians(), config.angle_increment_rad());
         let direction = |beam: usize| {
             let (sin, cos) = (first_rad + beam as f64 * increment_rad).sin_cos();
@@ -125,13 +125,13 @@ fn cast_on_housing(ray: &Ray, far_m: f32) -> Option<f32> {
 }
 
 /// Errors of range measurements.
-pub(crate) struct RangeErrors {
+pub(crate) struct RangeNoise {
     pub(crate) config: NoiseConfig,
     pub(crate) range: Noise,
     pub(crate) dropout: Noise,
 }
 
-impl RangeErrors {
+impl RangeNoise {
     /// Returns the measured range of a distance by REP-117: +inf is no return; NaN is no measurement, also
     /// for a distance below the smallest range.
     fn measure(&mut self, distance_m: Option<f32>, lidar: &LidarConfig) -> f32 {

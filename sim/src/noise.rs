@@ -7,9 +7,9 @@ use rand_pcg::Pcg64Mcg;
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
-/// Purpose of a stream of random numbers.
+/// What a stream of random numbers is for.
 #[derive(Clone, Copy)]
-pub(crate) enum Purpose {
+pub(crate) enum NoiseStream {
     Odometry = 1,
     Range = 2,
     Dropout = 3,
@@ -19,7 +19,7 @@ pub(crate) enum Purpose {
 pub(crate) struct Noise(Pcg64Mcg);
 
 impl Noise {
-    pub(crate) fn new(seed: u64, robot: RobotId, purpose: Purpose) -> Self {
+    pub(crate) fn new(seed: u64, robot: RobotId, purpose: NoiseStream) -> Self {
         let stream = (robot.number() as u64) << 8 | purpose as u64;
         Self(Pcg64Mcg::new(u128::from(mix(seed)) << 64 | u128::from(mix(seed ^ mix(stream)))))
     }

@@ -6,7 +6,7 @@
 //! configuration can take the heading from the wheels too.
 
 use crate::burger::{WHEEL_RADIUS_M, WHEEL_SEPARATION_M};
-use crate::config::{Heading, NoiseConfig};
+use crate::config::{HeadingSource, NoiseConfig};
 use crate::noise::Noise;
 use msg::Pose2;
 
@@ -19,7 +19,7 @@ pub(crate) struct WheelOdometry {
     radii_m: [f64; 2],
     separation_m: f64,
     walk_m_per_sqrt_m: f64,
-    heading: Heading,
+    heading: HeadingSource,
     /// Angle that the gyroscope reports per radian of turning, radians.
     gyro_scale: f64,
     gyro_walk_rad_per_sqrt_rad: f64,
@@ -56,8 +56,8 @@ impl WheelOdometry {
         let way_m = (left_m + right_m) / 2.0;
         let walk_rad = self.gyro_walk_rad_per_sqrt_rad * yaw_rad.abs().sqrt() * self.noise.gaussian();
         let turn_rad = match self.heading {
-            Heading::Gyro => self.gyro_scale * yaw_rad + walk_rad,
-            Heading::Wheels => (right_m - left_m) / self.separation_m,
+            HeadingSource::Gyro => self.gyro_scale * yaw_rad + walk_rad,
+            HeadingSource::Wheels => (right_m - left_m) / self.separation_m,
         };
         // The step follows the chord of the arc, whose direction is half of the turn (second order).
         let (sin, cos) = (turn_rad / 2.0).sin_cos();

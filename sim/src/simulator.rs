@@ -3,8 +3,8 @@
 use crate::body::{Body, upright_pose};
 use crate::burger;
 use crate::config::{Limits, SimConfig};
-use crate::lidar::{Lidar, RangeErrors};
-use crate::noise::{Noise, Purpose};
+use crate::lidar::{Lidar, RangeNoise};
+use crate::noise::{Noise, NoiseStream};
 use crate::odometry::WheelOdometry;
 use crate::peers::{Peers, SILENT_MAX_S};
 use crate::room::{Room, StartError};
@@ -76,7 +76,7 @@ pub struct Simulator {
 
 /// Results of one tick. Only the stamp of each header is set; the channel sets the other fields.
 #[derive(Clone, Copy, Debug)]
-pub struct Tick {
+pub struct StepOutput {
     /// Time of the run after the tick, as published on /clock.
     pub stamp: Stamp,
     /// True pose of the robot after the tick.
@@ -107,10 +107,10 @@ impl Simulator {
         config.validate()?;
         room.check_start(world_from_start)?;
         let noise = |purpose| Noise::new(seed, robot, purpose);
-        let errors = RangeErrors {
+        let errors = RangeNoise {
             config: config.noise,
-            range: noise(Purpose::Range),
-            dropout: noise(Purpose::Dropout),
+            range: noise(NoiseStream::Range),
+            dropout: noise(NoiseStream::Dropout),
         };
         let lidar = Lidar::new(config.lidar, errors);
         Ok(Self {
@@ -119,7 +119,7 @@ impl Simulator {
             obstacles: room.obstacles(),
             body: Body::new(room.obstacles(), world_from_start),
             peers: Peers::default(),
-            odometry: WheelOdometry::new(&config.noise, noise(Purpose::Odometry)),
+            odometry: WheelOdometry::new(&config.noise, noise(NoiseStream::Odometry)),
             scan_ticks: (TICKS_PER_SECOND / config.lidar.rate_hz).round() as i64,
             lidar,
             ticks: 0,
@@ -193,7 +193,7 @@ impl Simulator {
     }
 
     /// Simulates one tick of [`Simulator::TICK`].
-    pub fn step(&mut self) -> Tick {
+    pub fn step(&mut self) -> StepOutput {
         let (linear_m_s, angular_rad_s) = self.commanded_velocity();
         self.body.set_velocity(linear_m_s, angular_rad_s);
         self.ticks += 1;
@@ -207,7 +207,7 @@ impl Simulator {
 
         let phase = self.robot.index() as i64;
         let odometry_due = (self.ticks - phase).rem_euclid(ODOMETRY_TICKS) == 0;
-        Tick {
+        StepOutput {
             stamp: self.now(),
             truth: self.truth(),
             transforms: odometry_due.then(|| self.transforms()),

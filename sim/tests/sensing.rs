@@ -142,7 +142,7 @@ fn the_same_seed_gives_the_same_bytes() {
 #[test]
 fn transforms_equal_those_of_the_turtlebot3() {
     let mut config = quiet();
-    config.noise.heading = sim::Heading::Wheels;
+    config.noise.heading = sim::HeadingSource::Wheels;
     let mut simulator = Simulator::new(&box_room(), &config, robot(1), Pose2::IDENTITY, 1).unwrap();
     let mut last = None;
     for _ in 0..100 {

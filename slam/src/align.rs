@@ -44,7 +44,7 @@ pub struct Prior {
 
 /// Result of an alignment.
 #[derive(Clone, Copy, Debug)]
-pub struct Alignment {
+pub struct ScanAlignment {
     /// Pose of the moved cloud in the common frame.
     pub frame_from_cloud: Pose2,
     /// Inverse covariance that the points give over (x, y, yaw) in the frame, without the prior.
@@ -62,10 +62,10 @@ pub struct Alignment {
     pub rms_m: f32,
 }
 
-impl Alignment {
-    /// Information of a link: points without a normal count by `links.places_share`.
+impl ScanAlignment {
+    /// Information of a link: points without a normal count by `links.point_landmark_weight`.
     pub fn information_for_links(&self, config: &LinkConfig) -> Matrix3<f64> {
-        let share = config.places_share;
+        let share = config.point_landmark_weight;
         self.information * share + self.information_of_lines * (1.0 - share)
     }
 }
@@ -140,7 +140,7 @@ pub fn align<'a>(
     references: impl Iterator<Item = Reference<'a>> + Clone,
     prior: Option<Prior>,
     config: &LinkConfig,
-) -> Alignment {
+) -> ScanAlignment {
     let mut pose = guess;
     let weight = 1.0 / (config.point_sigma_m * config.point_sigma_m);
     let mut sums = normal_equations(cloud, pose, references.clone(), config.gate_wide_m, config.cauchy_m);
@@ -168,7 +168,7 @@ pub fn align<'a>(
     // A noisy sensor, or surfaces that are no lines, scatter more than point_sigma.
     let mean_square = sums.squared / sums.weight.max(WEIGHT_MIN);
     let scatter = 1.0 / (config.point_sigma_m.powi(2)).max(mean_square);
-    Alignment {
+    ScanAlignment {
         frame_from_cloud: Pose2 { yaw_rad: msg::pose::wrap_angle(pose.yaw_rad), ..pose },
         information: sums.hessian * scatter,
         information_of_lines: sums.of_lines * scatter,

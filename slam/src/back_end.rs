@@ -11,12 +11,12 @@ mod components;
 mod doubts;
 mod lifelong;
 mod links;
+mod localization_state;
 mod loop_closer;
 mod modes;
 mod node_numbers;
 mod odometry_noise;
 mod retracted;
-mod robot_location;
 mod state;
 mod uncertain_pieces;
 mod undo;
@@ -27,7 +27,7 @@ pub use modes::{InitialPose, PlaceInMap};
 pub use state::BackEndState;
 pub use undo::ClosureReport;
 
-use crate::closure::{ClosureCandidate, ClosureSearch, ClosureSearchCounts, GraphView};
+use crate::closure::{ClosureCandidate, ClosureSearchCounts, ClosureSearchResult, GraphView};
 use crate::config::SlamConfig;
 use crate::graph::{EdgeKind, Graph, RelativeUncertainty};
 use crate::localizer::{Localizer, LocalizerCounts};
@@ -36,11 +36,11 @@ use crate::node::{Node, Revision};
 use crate::relocalize::RelocalizationCounts;
 use crate::stages::{Stage, StageObserver};
 use lifelong::Lifelong;
+use localization_state::LocalizationState;
 use loop_closer::LoopCloser;
 use msg::{GridView, Header, Monotonic, TileMap};
 use node_numbers::NodeNumbers;
 use odometry_noise::OdometryNoise;
-use robot_location::RobotLocation;
 
 /// Nodes this many before and after a closure are linked again: 3 m, where they now overlap.
 const RELINK_NODES: u32 = 10;
@@ -53,6 +53,30 @@ const BREAK_RAD: f64 = 3.0;
 const BREAK_VARIANCE: [f64; 2] = [BREAK_M * BREAK_M, BREAK_RAD * BREAK_RAD];
 
 /// The back end of one robot's SLAM; see the module.
+///
+/// ```
+/// use msg::{Scan, Stamp};
+/// use slam::{BackEnd, FrontEnd, SlamConfig};
+///
+/// // A LiDAR of 1° in the middle of a square room of 4 m.
+/// let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
+/// (scan.range_min_m, scan.range_max_m, scan.len) = (0.1, 10.0, 360);
+/// scan.angle_increment_rad = 1_f32.to_radians();
+/// for beam in 0..360 {
+///     let (sin, cos) = scan.angle_rad(beam).sin_cos();
+///     scan.ranges_m[beam] = 2.0 / sin.abs().max(cos.abs());
+/// }
+/// scan.header.stamp = Stamp::from_seconds(0.1);
+///
+/// let config = SlamConfig::default();
+/// let (mut front, mut back) = (FrontEnd::new(config.clone()), BackEnd::new(config));
+/// let node = front.process(&scan).node.expect("the first scan becomes a node");
+/// // The back end may do this on another thread, and later.
+/// let revision = back.add_node(node);
+/// front.add_revision(revision);
+/// assert_eq!(back.nodes().len(), 1);
+/// assert!(back.map().header.width >= 80, "4 m in cells of 5 cm");
+/// ```
 // More than 12 fields: one for each part of its work, which a module of its own does, and the counts that they share.
 pub struct BackEnd {
     config: SlamConfig,
@@ -60,7 +84,7 @@ pub struct BackEnd {
     nodes: Vec<Node>,
     graph: Graph,
     loop_closer: LoopCloser,
-    location: RobotLocation,
+    location: LocalizationState,
     lifelong: Lifelong,
     numbers: NodeNumbers,
     odometry_noise: OdometryNoise,
@@ -100,8 +124,8 @@ pub struct BackEndCounts {
     pub localized: LocalizerCounts,
     /// Nodes removed in lifelong mode.
     pub retired: u64,
-    /// Nodes of disconnected components.
-    pub disconnected: usize,
+    /// Nodes of untied components.
+    pub untied: usize,
 }
 
 impl BackEnd {
@@ -111,7 +135,7 @@ impl BackEnd {
             nodes: Vec::new(),
             graph: Graph::new(config.graph.clone()),
             loop_closer: LoopCloser::new(config.clone()),
-            location: RobotLocation::new(),
+            location: LocalizationState::new(),
             lifelong: Lifelong::default(),
             numbers: NodeNumbers::default(),
             odometry_noise: OdometryNoise::new(),
@@ -159,7 +183,7 @@ impl BackEnd {
         self.judge_newest_position();
         // Verify an odometry edge that no scan has confirmed.
         self.check_unverified_edge(id, &relative);
-        let disconnected = !self.newest_in_map();
+        let untied = !self.newest_is_tied();
         // Search for a place seen before; between two searches, retry a node that was not found.
         if self.loop_closer.is_search_due() {
             self.search_closure(id, &relative);
@@ -171,11 +195,11 @@ impl BackEnd {
             self.solve(false);
         }
         // Search the whole map for a component that nothing connects with it.
-        if disconnected {
+        if untied {
             self.stages.stage_started(Stage::Closure);
             self.relocalize_component(id);
             self.update_components();
-            self.location.just_located = self.newest_in_map();
+            self.location.just_located = self.newest_is_tied();
         }
     }
 
@@ -197,27 +221,27 @@ impl BackEnd {
         self.stages.stage_started(Stage::Closure);
         let view = GraphView { nodes: &self.nodes, graph: &self.graph };
         match self.loop_closer.detector.search(&view, id, relative, self.loop_closer.travelled_m) {
-            ClosureSearch::NoCandidate => return false,
-            ClosureSearch::NotFound | ClosureSearch::Unconfirmed => {
+            ClosureSearchResult::NoCandidate => return false,
+            ClosureSearchResult::NotFound | ClosureSearchResult::Unconfirmed => {
                 self.loop_closer.record_not_found(id);
             }
-            ClosureSearch::Accepted(closures) => self.add_closures(&closures),
+            ClosureSearchResult::Accepted(closures) => self.add_closures(&closures),
         }
         true
     }
 
     /// Searches once more for a node that was not found before the last closure; false if there is none.
     fn retry_closure(&mut self) -> bool {
-        while let Some(id) = self.loop_closer.again.pop_front() {
+        while let Some(id) = self.loop_closer.to_retry.pop_front() {
             self.stages.stage_started(Stage::Link);
             let relative = self.uncertainty_from(id);
             self.unsolved += usize::from(self.link_near(id, &relative) > 0);
             self.stages.stage_started(Stage::Closure);
             let view = GraphView { nodes: &self.nodes, graph: &self.graph };
             match self.loop_closer.detector.search(&view, id, &relative, self.loop_closer.travelled_m) {
-                ClosureSearch::NoCandidate => continue,
-                ClosureSearch::NotFound | ClosureSearch::Unconfirmed => {}
-                ClosureSearch::Accepted(closures) => self.add_closures(&closures),
+                ClosureSearchResult::NoCandidate => continue,
+                ClosureSearchResult::NotFound | ClosureSearchResult::Unconfirmed => {}
+                ClosureSearchResult::Accepted(closures) => self.add_closures(&closures),
             }
             return true;
         }
@@ -239,7 +263,7 @@ impl BackEnd {
             relocalization: self.location.relocalization_counts(),
             localized: self.location.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
             retired: self.lifelong.retired,
-            disconnected: self.nodes.iter().filter(|node| !node.is_tied()).count(),
+            untied: self.nodes.iter().filter(|node| !node.is_tied()).count(),
         }
     }
 
@@ -296,9 +320,9 @@ impl BackEnd {
         self.align_components(&closures[closures.len() - 1]);
         for closure in &closures {
             let information = self.limited(closure.information);
-            let (a, b) = (closure.candidate, closure.node);
-            let drift = self.drift(closure.candidate_from_node);
-            self.graph.add_edge([a, b], closure.candidate_from_node, information, EdgeKind::Closure, drift);
+            let (a, b) = (closure.older, closure.newer);
+            let drift = self.drift(closure.older_from_newer);
+            self.graph.add_edge([a, b], closure.older_from_newer, information, EdgeKind::Closure, drift);
             let newest = self.graph.edges().len() - 1;
             self.graph.edge_mut(newest).response = closure.response;
         }
@@ -317,7 +341,7 @@ impl BackEnd {
     fn nodes_around(&self, closures: &[ClosureCandidate]) -> Vec<u32> {
         let newest = self.nodes.len() as u32 - 1;
         let span = |id: u32| id.saturating_sub(RELINK_NODES)..=(id + RELINK_NODES).min(newest);
-        let mut ids: Vec<u32> = closures.iter().flat_map(|f| span(f.node)).collect();
+        let mut ids: Vec<u32> = closures.iter().flat_map(|f| span(f.newer)).collect();
         ids.sort_unstable();
         ids.dedup();
         ids

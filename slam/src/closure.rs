@@ -8,7 +8,7 @@
 
 mod candidate;
 mod consistency;
-mod counted_errors;
+mod error_model;
 mod passes;
 #[cfg(test)]
 mod tests;
@@ -16,12 +16,12 @@ mod tests;
 pub use candidate::{ClosureCandidate, ClosureDetectorState, ClosureSearchCounts};
 pub(crate) use passes::{GraphView, PosedNode, compare_passes};
 
-use crate::align::{Alignment, Reference, align};
+use crate::align::{Reference, ScanAlignment, align};
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
 use crate::graph::{Graph, RelativeUncertainty};
 use crate::likelihood_field::{LikelihoodField, SearchBuffers, SearchLimits, SearchPeak, SearchWindow};
-use counted_errors::CountedErrors;
+use error_model::ErrorModel;
 use msg::{Pose2, pose::wrap_angle};
 use std::collections::VecDeque;
 
@@ -55,7 +55,7 @@ const UNKNOWN_VARIANCE: f64 = 1e6;
 const QUERY_SCANS: usize = 4;
 
 /// Result of a closure search.
-pub enum ClosureSearch {
+pub enum ClosureSearchResult {
     /// No place seen before can be here, or the places that can are linked already.
     NoCandidate,
     /// The search found no pose that passed verification.
@@ -110,8 +110,8 @@ impl ClosureDetector {
 
     /// Renumbers nodes; candidates of nodes that are gone are dropped.
     pub fn renumber(&mut self, number: &dyn Fn(u32) -> Option<u32>) {
-        self.pending.retain_mut(|waiting| match (number(waiting.node), number(waiting.candidate)) {
-            (Some(node), Some(candidate)) => ((waiting.node, waiting.candidate) = (node, candidate), true).1,
+        self.pending.retain_mut(|waiting| match (number(waiting.newer), number(waiting.older)) {
+            (Some(newer), Some(older)) => ((waiting.newer, waiting.older) = (newer, older), true).1,
             _ => false,
         });
     }
@@ -135,27 +135,27 @@ impl ClosureDetector {
         node: u32,
         relative: &[Option<RelativeUncertainty>],
         travelled_m: f64,
-    ) -> ClosureSearch {
+    ) -> ClosureSearchResult {
         self.drop_expired(node);
-        let mut result = ClosureSearch::NoCandidate;
+        let mut result = ClosureSearchResult::NoCandidate;
         if !self.sees_enough(&view.nodes[node as usize]) {
             return result;
         }
         // In the smaller window fewer places look alike; the larger one is for long ways.
-        for errors in [CountedErrors::Independent, CountedErrors::Repeating] {
+        for errors in [ErrorModel::Independent, ErrorModel::Repeating] {
             let candidates = self.candidates(view, relative, node, errors);
             if !candidates.is_empty() {
                 self.last_search_m = Some(travelled_m);
-                result = ClosureSearch::NotFound;
+                result = ClosureSearchResult::NotFound;
             }
             for candidate in candidates {
                 let known = relative[candidate as usize].map(|known| errors.of(known));
                 if let Some(found) = self.find_consistent(view, known, candidate, node) {
                     let accepted = self.confirm(view.graph, found);
                     return if accepted.is_empty() {
-                        ClosureSearch::Unconfirmed
+                        ClosureSearchResult::Unconfirmed
                     } else {
-                        ClosureSearch::Accepted(accepted)
+                        ClosureSearchResult::Accepted(accepted)
                     };
                 }
             }
@@ -182,24 +182,25 @@ impl ClosureDetector {
     /// Drops candidates that waited for confirmation too long.
     fn drop_expired(&mut self, node: u32) {
         let before = self.pending.len();
-        self.pending.retain(|f| f.node.abs_diff(node) <= PENDING_NODES);
+        self.pending.retain(|f| f.newer.abs_diff(node) <= PENDING_NODES);
         self.counts.unconfirmed += (before - self.pending.len()) as u64;
     }
 
     /// Nearest nodes of up to [`TRIES`] earlier passes that may be here, given what is known.
-    /// Only nodes of the same component count: a disconnected one may be anywhere.
+    /// Only nodes of the same component count: an untied one may be anywhere.
     fn candidates(
         &self,
         view: &GraphView<'_>,
         relative: &[Option<RelativeUncertainty>],
         node: u32,
-        errors: CountedErrors,
+        errors: ErrorModel,
     ) -> Vec<u32> {
         let (graph, component) = (view.graph, view.nodes[node as usize].disconnected_component);
         let (c, l) = (&self.config.closures, &self.config.links);
         let here = graph.poses()[node as usize];
         let known = |r: &RelativeUncertainty| {
-            r.position < l.sigma_max_m.powi(2) && r.heading < l.sigma_max_rad.powi(2)
+            r.position_variance_m2 < l.sigma_max_m.powi(2)
+                && r.heading_variance_rad2 < l.sigma_max_rad.powi(2)
         };
         let mut near: Vec<(f64, u32)> = (0..graph.poses().len() as u32)
             .filter(|id| {
@@ -213,7 +214,7 @@ impl ClosureDetector {
                 if way.as_ref().is_some_and(known) || !errors.matter(way) {
                     return None;
                 }
-                let sigma = way.map_or(f64::INFINITY, |known| errors.of(known).position.sqrt());
+                let sigma = way.map_or(f64::INFINITY, |known| errors.of(known).position_variance_m2.sqrt());
                 let reach = c.radius_m + (c.window_sigmas * sigma).min(c.window_max_m);
                 let distance = here.distance_m(graph.poses()[id as usize]);
                 (distance < reach).then_some((distance, id))
@@ -244,11 +245,11 @@ impl ClosureDetector {
         let chain = self.chain(view, candidate, &query);
         let peak = self.correlate(&query, &window)?;
         let fit = self.verify(&chain, &query, peak)?;
-        let (candidate_from_node, information) = (fit.frame_from_cloud, fit.information);
+        let (older_from_newer, information) = (fit.frame_from_cloud, fit.information);
         Some(ClosureCandidate {
-            node,
-            candidate,
-            candidate_from_node,
+            newer: node,
+            older: candidate,
+            older_from_newer,
             information,
             response: peak.score.clamp(0.0, 1.0),
         })
@@ -267,9 +268,9 @@ impl ClosureDetector {
         self.field.clear([0.0; 2]);
         let mut chain = Vec::with_capacity(c.chain_nodes + 1);
         for id in (first..=last).filter(|id| !(from..=to).contains(id)) {
-            let (node, candidate_from_node) = view.posed_node(candidate, id);
-            self.field.insert(&node.cloud, candidate_from_node);
-            chain.push((node, candidate_from_node));
+            let (node, older_from_newer) = view.posed_node(candidate, id);
+            self.field.insert(&node.cloud, older_from_newer);
+            chain.push((node, older_from_newer));
         }
         chain
     }
@@ -299,15 +300,17 @@ impl ClosureDetector {
     ) -> SearchWindow {
         let c = &self.config.closures;
         let unknown = RelativeUncertainty {
-            position: UNKNOWN_VARIANCE,
-            heading: UNKNOWN_VARIANCE,
+            position_variance_m2: UNKNOWN_VARIANCE,
+            heading_variance_rad2: UNKNOWN_VARIANCE,
             ..RelativeUncertainty::default()
         };
         let sigmas = relative.unwrap_or(unknown);
         SearchWindow {
             centre: graph.poses()[candidate as usize].between(graph.poses()[node as usize]),
-            half_m: (c.window_sigmas * sigmas.position.sqrt()).clamp(WINDOW_MIN_M, c.window_max_m),
-            half_rad: (c.window_sigmas * sigmas.heading.sqrt()).clamp(WINDOW_MIN_RAD, c.window_max_rad),
+            half_m: (c.window_sigmas * sigmas.position_variance_m2.sqrt())
+                .clamp(WINDOW_MIN_M, c.window_max_m),
+            half_rad: (c.window_sigmas * sigmas.heading_variance_rad2.sqrt())
+                .clamp(WINDOW_MIN_RAD, c.window_max_rad),
             pull: 0.0,
         }
     }
@@ -347,7 +350,7 @@ impl ClosureDetector {
         chain: &[PosedNode<'_>],
         query: &[PosedNode<'_>],
         peak: SearchPeak,
-    ) -> Option<Alignment> {
+    ) -> Option<ScanAlignment> {
         let c = &self.config.closures;
         let mut near: Vec<&PosedNode<'_>> = chain.iter().collect();
         let away = |p: &Pose2| p.distance_m(peak.pose) + wrap_angle(p.yaw_rad - peak.pose.yaw_rad).abs();
@@ -374,11 +377,11 @@ impl ClosureDetector {
         let c = &self.config.closures;
         let agrees = |other: &ClosureCandidate| {
             let poses = graph.poses();
-            let between_candidates = poses[found.candidate as usize].between(poses[other.candidate as usize]);
-            let between_nodes = poses[other.node as usize].between(poses[found.node as usize]);
-            let implied = between_candidates * other.candidate_from_node * between_nodes;
-            let turned = wrap_angle(implied.yaw_rad - found.candidate_from_node.yaw_rad).abs();
-            implied.distance_m(found.candidate_from_node) < c.agree_m && turned < c.agree_rad
+            let between_candidates = poses[found.older as usize].between(poses[other.older as usize]);
+            let between_nodes = poses[other.newer as usize].between(poses[found.newer as usize]);
+            let implied = between_candidates * other.older_from_newer * between_nodes;
+            let turned = wrap_angle(implied.yaw_rad - found.older_from_newer.yaw_rad).abs();
+            implied.distance_m(found.older_from_newer) < c.agree_m && turned < c.agree_rad
         };
         let mut together: Vec<ClosureCandidate> =
             self.pending.iter().filter(|f| agrees(f)).copied().collect();
@@ -390,7 +393,7 @@ impl ClosureDetector {
             self.pending.push_back(found);
             return Vec::new();
         }
-        self.pending.retain(|f| together.iter().all(|t| t.node != f.node || t.candidate != f.candidate));
+        self.pending.retain(|f| together.iter().all(|t| t.newer != f.newer || t.older != f.older));
         self.counts.accepted += together.len() as u64;
         together
     }

@@ -23,6 +23,8 @@ const SURFACE_TOLERANCE_M: f32 = 0.15;
 /// A scan that sees this far behind a point contradicts it, metres: more than the tolerance, a thin obstacle
 /// and a flat angle leave together.
 pub(crate) const SEE_THROUGH_M: f32 = 0.4;
+/// Neighbours on one surface are no farther apart than this many angles between beams: a surface that is seen at 30 degrees.
+const NEIGHBOUR_BEAMS: f32 = 2.0;
 /// Bearings of [`Cloud::sees_through`]: one a degree.
 pub const BEARINGS: usize = 360;
 
@@ -52,7 +54,7 @@ pub struct Cloud {
     heads: Vec<u16>,
     sensor: [f32; 2],
     /// Mean of the points, metres: about what the scan looks at.
-    middle: [f32; 2],
+    centroid_m: [f32; 2],
     /// Nearest return by bearing around the sensor, centimetres; 0 without a return.
     seen_cm: Box<[u16; BEARINGS]>,
 }
@@ -66,7 +68,7 @@ impl Cloud {
             points: Vec::with_capacity(points_max),
             heads,
             sensor: [0.0; 2],
-            middle: [0.0; 2],
+            centroid_m: [0.0; 2],
             seen_cm: Box::new([0; BEARINGS]),
         }
     }
@@ -75,7 +77,7 @@ impl Cloud {
     pub fn fill(&mut self, scan: &Scan, sweep: &BeamPoses, config: &LidarConfig, scratch: &mut CloudScratch) {
         let CloudScratch { hits, kept, points } = scratch;
         surfaces::find_hits(hits, scan, sweep, config.range_use_max_m);
-        let gap_per_m = 2.0 * scan.angle_increment_rad.abs();
+        let gap_per_m = NEIGHBOUR_BEAMS * scan.angle_increment_rad.abs();
         self.sensor = sweep.mid_sweep_position();
         surfaces::thin(kept, hits, config.spacing_m, config.points_max);
         points.clear();
@@ -111,7 +113,8 @@ impl Cloud {
         heads.clear();
         heads.resize(buckets + 1, 0);
         let share = 1.0 / points.len().max(1) as f32;
-        self.middle = points.iter().fold([0.0; 2], |m, p| [m[0] + share * p.at[0], m[1] + share * p.at[1]]);
+        self.centroid_m =
+            points.iter().fold([0.0; 2], |m, p| [m[0] + share * p.at[0], m[1] + share * p.at[1]]);
         for p in points {
             heads[bucket(cell(p.at), buckets) + 1] += 1;
         }
@@ -133,20 +136,20 @@ impl Cloud {
     /// Parts of the cloud for a session: points, sensor position and mean of the points (metres), and the nearest
     /// return by bearing (centimetres).
     pub fn parts(&self) -> (&[SurfacePoint], [f32; 2], [f32; 2], &[u16; BEARINGS]) {
-        (&self.points, self.sensor, self.middle, &self.seen_cm)
+        (&self.points, self.sensor, self.centroid_m, &self.seen_cm)
     }
 
     /// The cloud of [`Cloud::parts`]; at most 4096 points.
     pub fn from_parts(
         points: Vec<SurfacePoint>,
         sensor: [f32; 2],
-        middle: [f32; 2],
+        centroid_m: [f32; 2],
         seen_cm: Box<[u16; BEARINGS]>,
     ) -> Self {
         // Points are grouped already, and grouping keeps the order within a group: nothing moves.
         let mut cloud = Self::with_capacity(points.len());
         cloud.index(&points);
-        Self { sensor, middle, seen_cm, ..cloud }
+        Self { sensor, centroid_m, seen_cm, ..cloud }
     }
 
     /// The points, in no particular order.
@@ -155,8 +158,8 @@ impl Cloud {
     }
 
     /// Mean of the points: about what the scan looks at, in `base_footprint`.
-    pub fn middle(&self) -> [f64; 2] {
-        self.middle.map(f64::from)
+    pub fn centroid_m(&self) -> [f64; 2] {
+        self.centroid_m.map(f64::from)
     }
 
     /// The point nearest to `at`, not farther than `gate_m` (at most `SEARCH_MAX_M`), whose normal
@@ -189,8 +192,8 @@ impl Cloud {
     pub fn sees_through(&self, at: [f32; 2], margin_m: f32) -> bool {
         let (x, y) = (at[0] - self.sensor[0], at[1] - self.sensor[1]);
         let reach_cm = ((x * x + y * y).sqrt() + margin_m) * 100.0;
-        let middle = bearing(x, y);
-        let around = [middle + BEARINGS - 1, middle, middle + 1];
+        let centroid_m = bearing(x, y);
+        let around = [centroid_m + BEARINGS - 1, centroid_m, centroid_m + 1];
         around.iter().all(|b| f32::from(self.seen_cm[b % BEARINGS]) > reach_cm)
     }
 

@@ -5,7 +5,7 @@
 //! only moves that frame in the map.
 
 mod deskew;
-mod map_frame;
+mod local_frame;
 mod motion;
 mod node_builder;
 mod scan_check;
@@ -23,7 +23,7 @@ use crate::config::SlamConfig;
 use crate::node::{Node, Revision, SweptPath};
 use crate::scan_buffers::ScanBufferPool;
 use crate::stages::{Stage, StageObserver};
-use map_frame::MapFrame;
+use local_frame::LocalFrameInMap;
 use motion::MotionModel;
 use msg::{Correction, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
@@ -114,8 +114,9 @@ pub struct LastScan {
     pub stamp: Stamp,
     /// Pose of the robot in the front end's frame.
     pub local_from_base: Pose2,
-    /// Pose by odometry, if it was known.
-    pub odom_from_base: Option<Pose2>,
+    /// Pose by odometry in its continuous frame, which does not jump when the driver is started again; `None` where
+    /// odometry was missing.
+    pub continuous_from_base: Option<Pose2>,
     /// Motion over the last interval, and its length in seconds, for logs without odometry.
     pub motion: Option<(Pose2, f64)>,
     /// Covariance of the pose, see [`ScanResult::correction`].
@@ -123,7 +124,7 @@ pub struct LastScan {
     pub covariance: Matrix3<f64>,
 }
 
-/// The front end of one robot's SLAM; see the module.
+/// The front end of one robot's SLAM; see the module, and [`BackEnd`](crate::BackEnd) for an example of both.
 pub struct FrontEnd {
     config: SlamConfig,
     /// Buffers of clouds and rays, shared with nodes.
@@ -132,7 +133,7 @@ pub struct FrontEnd {
     motion: MotionModel,
     matcher: ScanMatcher,
     nodes: NodeBuilder,
-    frame: MapFrame,
+    frame: LocalFrameInMap,
     /// The last pose in the map with odometry, and its inverse by odometry: `map_from_base`, `base_from_continuous`.
     newest_with_odometry: Option<[Pose2; 2]>,
     samples: Vec<TrajectorySample>,
@@ -149,7 +150,7 @@ impl FrontEnd {
             motion: MotionModel::new(&config.odometry),
             matcher: ScanMatcher::new(&config.tracking),
             nodes: NodeBuilder::new(),
-            frame: MapFrame::new(),
+            frame: LocalFrameInMap::new(),
             newest_with_odometry: None,
             // The operating system provides the memory as it is used.
             samples: Vec::with_capacity(config.graph.trajectory_max),
@@ -167,24 +168,27 @@ impl FrontEnd {
         }
         // Predict the pose from odometry, or from the last motion.
         let stamp = scan.header.stamp;
-        let odom_from_base = self.motion.odometry.at(stamp);
-        let prediction = self.predict(scan, odom_from_base);
+        let continuous_from_base = self.motion.odometry.at(stamp);
+        let prediction = self.predict(scan, continuous_from_base);
         // Take the robot's motion out of the scan, and match it against the local map.
-        let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, odom_from_base);
-        self.count_unmeasured_time(stamp, &pose, odom_from_base);
+        let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, continuous_from_base);
+        self.count_unmeasured_time(stamp, &pose, continuous_from_base);
         // Odometry that slipped, or that is back after it was missing, counts from the matched pose.
-        self.rebase_odometry(&pose, odom_from_base);
+        self.rebase_odometry(&pose, continuous_from_base);
         // Record where the robot's body was.
         self.stages.stage_started(Stage::Node);
         self.extend_swept_path(&pose);
         // After enough motion the scan becomes a node of the pose graph.
         let is_due = self.is_node_due(&pose, &cloud);
-        let node =
-            if is_due { self.add_node((scan, &beam_poses), &pose, odom_from_base, cloud) } else { None };
+        let node = if is_due {
+            self.add_node((scan, &beam_poses), &pose, continuous_from_base, cloud)
+        } else {
+            None
+        };
         // Record the pose for the trajectory and for the next prediction.
-        self.record(stamp, &pose, odom_from_base);
+        self.record(stamp, &pose, continuous_from_base);
         // Answer in the map's frame.
-        let correction = self.correction(scan, &pose, odom_from_base);
+        let correction = self.correction(scan, &pose, continuous_from_base);
         self.stages.stage_started(Stage::Idle);
         ScanResult {
             correction,
@@ -288,7 +292,7 @@ impl FrontEnd {
         &mut self,
         (scan, beam_poses): (&Scan, &crate::beam_poses::BeamPoses),
         pose: &TrackedPose,
-        odom_from_base: Option<Pose2>,
+        continuous_from_base: Option<Pose2>,
         cloud: Arc<Cloud>,
     ) -> Option<Node> {
         let id = self.nodes.next_node;
@@ -297,14 +301,14 @@ impl FrontEnd {
             self.frame.break_at(id);
             self.counts.odometry_breaks += 1;
         }
-        let moved = self.motion.moved_since_reference(odom_from_base);
-        self.motion.reference_odom_from_base = odom_from_base;
-        self.motion.reference_covariance = pose.covariance;
+        let moved = self.motion.moved_since_reference(continuous_from_base);
+        self.motion.node_continuous_from_base = continuous_from_base;
+        self.motion.node_covariance = pose.covariance;
         let node = Node {
             id,
             header: scan.header,
             local_from_base: pose.local_from_base,
-            previous_from_this: self.nodes.published_from_newest.zip(moved).map(|(a, b)| a * b),
+            previous_from_this: self.nodes.sent_from_newest.zip(moved).map(|(a, b)| a * b),
             fits,
             odometry_break: self.frame.last_break == Some(id),
             disconnected_component: None,
@@ -320,7 +324,7 @@ impl FrontEnd {
         }
         self.matcher.add_reference(node.clone(), !fits, &self.config.tracking);
         if !has_capacity {
-            self.nodes.published_from_newest = node.previous_from_this;
+            self.nodes.sent_from_newest = node.previous_from_this;
             self.counts.nodes_held_back += 1;
             return None;
         }
@@ -330,7 +334,7 @@ impl FrontEnd {
         Some(self.nodes.publish(node, keep_path))
     }
 
-    fn record(&mut self, stamp: Stamp, pose: &TrackedPose, odom_from_base: Option<Pose2>) {
+    fn record(&mut self, stamp: Stamp, pose: &TrackedPose, continuous_from_base: Option<Pose2>) {
         self.counts.accepted += 1;
         if let Some((node, local_from_node)) = self.nodes.published {
             let node_from_base = local_from_node.between(pose.local_from_base);
@@ -341,7 +345,7 @@ impl FrontEnd {
                 self.counts.trajectory_dropped += 1;
             }
         }
-        self.motion.record(stamp, pose.local_from_base, pose.covariance, odom_from_base);
+        self.motion.record(stamp, pose.local_from_base, pose.covariance, continuous_from_base);
     }
 
     /// The state given out: that of the scan, unless the robot is not located or its map may be wrong.
@@ -355,17 +359,22 @@ impl FrontEnd {
         }
     }
 
-    /// The answer to a scan. `odom_from_base` is `None` if odometry is missing at its stamp: the transform of `odom` stays
+    /// The answer to a scan. `continuous_from_base` is `None` if odometry is missing at its stamp: the transform of `odom` stays
     /// as it was.
-    fn correction(&mut self, scan: &Scan, pose: &TrackedPose, odom_from_base: Option<Pose2>) -> Correction {
-        let MapFrame { map_from_local, is_located, .. } = self.frame;
+    fn correction(
+        &mut self,
+        scan: &Scan,
+        pose: &TrackedPose,
+        continuous_from_base: Option<Pose2>,
+    ) -> Correction {
+        let LocalFrameInMap { map_from_local, is_located, .. } = self.frame;
         let map_from_base = map_from_local * pose.local_from_base;
         let c = match is_located {
             true => self.frame.covariance_in_map(pose.covariance, map_from_base),
             false => unknown_pose_covariance(),
         };
-        if let (Some(odom_from_base), true) = (odom_from_base, is_located) {
-            self.newest_with_odometry = Some([map_from_base, odom_from_base.inverse()]);
+        if let (Some(continuous_from_base), true) = (continuous_from_base, is_located) {
+            self.newest_with_odometry = Some([map_from_base, continuous_from_base.inverse()]);
         }
         let continuous_from_odom = self.motion.odometry.continuous_from_odom();
         let map_from_odom = self.newest_with_odometry.map(|[map_from_base, base_from_continuous]| {

@@ -76,9 +76,9 @@ impl Edge {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RelativeUncertainty {
     /// Variance of the position, m².
-    pub position: f64,
+    pub position_variance_m2: f64,
     /// Variance of the heading, rad².
-    pub heading: f64,
+    pub heading_variance_rad2: f64,
     /// Standard deviation of the position from errors of the heading that repeat along the way, on top, metres.
     pub bias_m: f64,
     /// The same of the heading, radians.
@@ -91,8 +91,10 @@ impl RelativeUncertainty {
         let length_squared = edge.a_from_b.x_m.powi(2) + edge.a_from_b.y_m.powi(2);
         let length_m = length_squared.sqrt();
         Self {
-            position: self.position + self.heading * length_squared + edge.variance[0],
-            heading: self.heading + edge.variance[1],
+            position_variance_m2: self.position_variance_m2
+                + self.heading_variance_rad2 * length_squared
+                + edge.variance[0],
+            heading_variance_rad2: self.heading_variance_rad2 + edge.variance[1],
             bias_m: self.bias_m + self.bias_rad * length_m,
             bias_rad: self.bias_rad + bias_rad_per_m * length_m,
         }
@@ -101,8 +103,8 @@ impl RelativeUncertainty {
     /// The uncertainty with the errors that repeat in its variances.
     pub fn with_bias(self) -> Self {
         Self {
-            position: self.position + self.bias_m.powi(2),
-            heading: self.heading + self.bias_rad.powi(2),
+            position_variance_m2: self.position_variance_m2 + self.bias_m.powi(2),
+            heading_variance_rad2: self.heading_variance_rad2 + self.bias_rad.powi(2),
             ..self
         }
     }
@@ -113,7 +115,7 @@ pub struct Graph {
     config: GraphConfig,
     poses: Vec<Pose2>,
     /// Covariance of each pose in the map; `None` where no edge says.
-    covariances: Vec<Option<pose_covariance::WayCovariance>>,
+    covariances: Vec<Option<pose_covariance::PathCovariance>>,
     /// The node that they are seen from.
     covariances_seen_from: u32,
     edges: Vec<Edge>,
@@ -122,7 +124,7 @@ pub struct Graph {
     /// Errors of odometry that repeat, metres and radians per metre.
     repeating_odometry_errors: [f64; 2],
     /// Edges of each node.
-    around: Vec<Vec<u32>>,
+    edges_of_node: Vec<Vec<u32>>,
     /// Solutions that ended with an error.
     failed_solutions: u64,
 }
@@ -138,7 +140,7 @@ impl Graph {
             edges: Vec::new(),
             variance_factor: 1.0,
             repeating_odometry_errors: [0.0; 2],
-            around: Vec::new(),
+            edges_of_node: Vec::new(),
             failed_solutions: 0,
         }
     }
@@ -152,10 +154,10 @@ impl Graph {
 
     /// Replaces all nodes and edges; the count of failed solutions stays.
     pub fn replace_parts(&mut self, poses: Vec<Pose2>, edges: Vec<Edge>) {
-        self.around = vec![Vec::new(); poses.len()];
+        self.edges_of_node = vec![Vec::new(); poses.len()];
         for (index, edge) in edges.iter().enumerate() {
-            self.around[edge.a as usize].push(index as u32);
-            self.around[edge.b as usize].push(index as u32);
+            self.edges_of_node[edge.a as usize].push(index as u32);
+            self.edges_of_node[edge.b as usize].push(index as u32);
         }
         self.covariances = vec![None; poses.len()];
         (self.poses, self.edges) = (poses, edges);
@@ -183,7 +185,7 @@ impl Graph {
 
     /// Active edges at a node.
     pub fn edges_of(&self, node: u32) -> impl Iterator<Item = &Edge> {
-        self.around[node as usize].iter().map(|&e| &self.edges[e as usize]).filter(|e| e.in_force)
+        self.edges_of_node[node as usize].iter().map(|&e| &self.edges[e as usize]).filter(|e| e.in_force)
     }
 
     /// Moves a node: `shift` takes its old pose's frame to the new one's.
@@ -196,7 +198,7 @@ impl Graph {
     pub fn add_node(&mut self, map_from_node: Pose2) {
         self.poses.push(map_from_node);
         self.covariances.push(None);
-        self.around.push(Vec::new());
+        self.edges_of_node.push(Vec::new());
     }
 
     /// Adds a measurement. `drift` (metres, radians, one standard deviation) is added to its
@@ -218,8 +220,8 @@ impl Graph {
         let variance = [position, covariance[(2, 2)].max(HEADING_VARIANCE_MIN) + drift[1].powi(2)];
         let index = self.edges.len() as u32;
         self.edges.push(Edge { a, b, a_from_b, information, kind, in_force: true, variance, response: 0.0 });
-        self.around[a as usize].push(index);
-        self.around[b as usize].push(index);
+        self.edges_of_node[a as usize].push(index);
+        self.edges_of_node[b as usize].push(index);
     }
 
     /// Sum of the information of the active edges from `a` to `b`.
@@ -250,16 +252,17 @@ impl Graph {
         open.push((core::cmp::Reverse(0_u64), from));
         while let Some((core::cmp::Reverse(bits), node)) = open.pop() {
             let Some(here) = known[node as usize] else { continue };
-            if here.position.to_bits() != bits {
+            if here.position_variance_m2.to_bits() != bits {
                 continue;
             }
             for edge in self.edges_of(node) {
                 let next = if edge.a == node { edge.b } else { edge.a };
                 let there = here.beyond(edge, self.config.bias_rad_per_m);
-                let better = known[next as usize].is_none_or(|k| there.position < k.position);
-                if better && there.position <= position_max {
+                let better =
+                    known[next as usize].is_none_or(|k| there.position_variance_m2 < k.position_variance_m2);
+                if better && there.position_variance_m2 <= position_max {
                     known[next as usize] = Some(there);
-                    open.push((core::cmp::Reverse(there.position.to_bits()), next));
+                    open.push((core::cmp::Reverse(there.position_variance_m2.to_bits()), next));
                 }
             }
         }

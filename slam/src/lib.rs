@@ -55,7 +55,7 @@ pub use map_doubts::MapDoubts;
 pub use mapper::OccupancyMapper;
 pub use node::{FrameUncertainty, Node, Rays, Revision, SweptPath};
 pub use point_transform::PointTransform;
-pub use relocalize::{PoseEstimate, RelocalizationCounts};
+pub use relocalize::{LocalFrameEstimate, RelocalizationCounts};
 pub use scan_buffers::NODES_IN_FLIGHT_MAX;
 pub use session::{Identity, Session, SessionError};
 pub use stages::{Stage, StageObserver};

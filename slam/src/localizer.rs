@@ -44,7 +44,7 @@ struct WindowNode {
     node: Node,
     map_from_node: Pose2,
     /// Relative pose from the node before by scan matching or odometry, with its information.
-    before_from_this: (Pose2, Matrix3<f64>),
+    previous_from_this: (Pose2, Matrix3<f64>),
     /// Pose by alignment with the map's scans and its information, if the node matched them.
     matched: Option<(Pose2, Matrix3<f64>)>,
 }
@@ -165,8 +165,8 @@ impl Localizer {
             self.counts.matched += 1;
             self.unmatched_m = 0.0;
             self.sigma = [
-                self.config.links.floor_m.max(MATCHED_MIN_M),
-                self.config.links.floor_rad.max(MATCHED_MIN_RAD),
+                self.config.links.sigma_min_m.max(MATCHED_MIN_M),
+                self.config.links.sigma_min_rad.max(MATCHED_MIN_RAD),
             ];
         } else if node.fits {
             self.counts.unmatched += 1;
@@ -174,11 +174,11 @@ impl Localizer {
         if self.window.len() == WINDOW {
             self.window.pop_front();
         }
-        let before_from_this = (moved, information_from_sigmas(step[0], step[1]));
+        let previous_from_this = (moved, information_from_sigmas(step[0], step[1]));
         self.window.push_back(WindowNode {
             node,
             map_from_node: predicted,
-            before_from_this,
+            previous_from_this,
             matched: match_result,
         });
         self.solve();
@@ -217,7 +217,7 @@ impl Localizer {
         if fit.overlap < overlap_min || !sound {
             return None;
         }
-        let information = limit_information(fit.information, [l.floor_m, l.floor_rad], UNOBSERVED);
+        let information = limit_information(fit.information, [l.sigma_min_m, l.sigma_min_rad], UNOBSERVED);
         Some((fit.frame_from_cloud, information))
     }
 
@@ -230,7 +230,7 @@ impl Localizer {
             let id = i as u32 + 1;
             graph.add_node(entry.map_from_node);
             if i > 0 {
-                let (moved, information) = entry.before_from_this;
+                let (moved, information) = entry.previous_from_this;
                 graph.add_edge([id - 1, id], moved, information, EdgeKind::Odometry, [0.0; 2]);
             } else {
                 // A weak prior keeps the window's first node where it was.
@@ -251,11 +251,11 @@ impl Localizer {
 
 /// Nodes of the map with the view most like this node's, most similar first, at most [`COMPARED_SCANS`].
 fn nearest(map: MapNodes<'_>, node: &Node, map_from_node: Pose2, distance_max_m: f64) -> Vec<usize> {
-    let [x, y] = map_from_node.apply(node.cloud.middle());
+    let [x, y] = map_from_node.apply(node.cloud.centroid_m());
     let mut near: Vec<(f64, usize)> = (0..map.nodes.len())
         .filter(|&i| map.nodes[i].in_map())
         .filter_map(|i| {
-            let seen = map.poses[i].apply(map.nodes[i].cloud.middle());
+            let seen = map.poses[i].apply(map.nodes[i].cloud.centroid_m());
             let apart = (seen[0] - x).hypot(seen[1] - y);
             (apart < distance_max_m)
                 .then_some((apart + VIEWPOINT_SHARE * map_from_node.distance_m(map.poses[i]), i))

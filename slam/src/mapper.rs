@@ -16,7 +16,7 @@ use crate::config::MapConfig;
 use crate::node::Node;
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{DenseMap, GridView, Header, MapHeader, Monotonic, Pose2, Rect, TileMap, pose::wrap_angle};
-use raster::{CellUpdates, NodeCells};
+use raster::{NodeCells, UpdateTables};
 use tile_set::TileSet;
 
 /// Least cost of a node in a slice, in cells: looking at it takes time even if nothing is drawn.
@@ -39,7 +39,7 @@ pub struct OccupancyMapper {
     clipped: u64,
     grid: DenseMap,
     cells: NodeCells,
-    updates: CellUpdates,
+    updates: UpdateTables,
 }
 
 /// Pose and extent with which a node is drawn.
@@ -70,7 +70,7 @@ impl OccupancyMapper {
     pub fn new(config: MapConfig) -> Self {
         let map = TileMap::new(MapHeader { resolution_m: config.resolution_m, ..Default::default() });
         Self {
-            updates: CellUpdates::new(&config),
+            updates: UpdateTables::new(&config),
             config,
             map,
             drawn: Vec::new(),
@@ -185,7 +185,7 @@ impl OccupancyMapper {
             let moved = was.map_from_base.distance_m(*is);
             was.bounds_m != EMPTY && (moved > tolerance_m || turned * TURN_ARM_M > tolerance_m)
         };
-        // Nodes may leave the map or become part of it, when components are disconnected or connected.
+        // Nodes may leave the map or become part of it, when components are untied or connected.
         let left_map = |was: &DrawnNode, node: &Node| was.bounds_m != EMPTY && !node.in_map();
         let joined_map = |was: &DrawnNode, node: &Node| {
             was.bounds_m == EMPTY && node.in_map() && bounds_m(node, &self.config) != EMPTY

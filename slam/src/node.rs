@@ -25,7 +25,7 @@ pub struct Node {
     /// Whether it contradicts the nodes before: the robot is not where odometry has it, and nothing
     /// connects this node with the ones before until it is located.
     pub odometry_break: bool,
-    /// First node of the node's component while that is disconnected from the map; `None` in the map.
+    /// First node of the node's component while that is untied from the map; `None` in the map.
     /// Set by the back end.
     #[serde(skip)]
     pub disconnected_component: Option<u32>,

@@ -106,8 +106,8 @@ impl OdometryBuffer {
         self.rejected
     }
 
-    /// `odom_from_base` at a stamp: interpolated, or extrapolated at the last speed for up to
-    /// `odometry.extrapolation_max_s`. `None` outside.
+    /// The robot's pose in the continuous frame of [`OdometryBuffer::continuous_from_odom`] at a stamp: interpolated, or
+    /// extrapolated at the last speed for up to `odometry.extrapolation_max_s`. `None` outside.
     pub fn at(&self, stamp: Stamp) -> Option<Pose2> {
         if !self.config.used {
             return None;

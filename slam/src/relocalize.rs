@@ -40,7 +40,7 @@ const QUERY_SCANS: usize = 4;
 
 /// An estimate of where the front end's frame lies in the map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PoseEstimate {
+pub struct LocalFrameEstimate {
     /// Pose of the front end's frame in the map.
     pub map_from_local: Pose2,
     /// Standard deviation of the robot's position, metres.
@@ -82,7 +82,7 @@ pub struct Relocalizer {
     config: SlamConfig,
     whole_map: WholeMap,
     /// Estimate that bounds the search; `None` searches the whole map.
-    initial_estimate: Option<PoseEstimate>,
+    initial_estimate: Option<LocalFrameEstimate>,
     /// The newest nodes since the search began.
     waiting: VecDeque<Node>,
     /// Nodes added since the search began.
@@ -103,10 +103,13 @@ pub struct Relocalizer {
 pub enum RelocalizationOutcome {
     /// The robot is not located yet; further nodes are needed.
     NotFound,
-    /// The robot is located: pose of the front end's frame in the map.
-    Found(Pose2),
+    /// The robot is located.
+    Found {
+        /// Pose of the front end's frame in the map.
+        map_from_local: Pose2,
+    },
     /// No search near the initial estimate succeeded; the estimate is accepted unverified.
-    EstimateAccepted(PoseEstimate),
+    EstimateAccepted(LocalFrameEstimate),
 }
 
 impl Relocalizer {
@@ -114,7 +117,7 @@ impl Relocalizer {
     pub fn new(
         config: SlamConfig,
         map: MapNodes<'_>,
-        initial_estimate: Option<PoseEstimate>,
+        initial_estimate: Option<LocalFrameEstimate>,
         counts: RelocalizationCounts,
     ) -> Self {
         Self {
@@ -132,7 +135,7 @@ impl Relocalizer {
     }
 
     /// The initial estimate that bounds the search, if one was given.
-    pub fn initial_estimate(&self) -> Option<PoseEstimate> {
+    pub fn initial_estimate(&self) -> Option<LocalFrameEstimate> {
         self.initial_estimate
     }
 
@@ -178,7 +181,7 @@ impl Relocalizer {
                 && self.is_confirmed(map_from_local)
             {
                 self.counts.accepted += 1;
-                return RelocalizationOutcome::Found(map_from_local);
+                return RelocalizationOutcome::Found { map_from_local };
             }
         }
         match self.initial_estimate {

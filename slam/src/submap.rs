@@ -53,7 +53,7 @@ struct Group {
     /// Poses of the nodes in the first one's frame, as published; empty before.
     given: Vec<Pose2>,
     given_finished: bool,
-    given_in_map: bool,
+    given_tied: bool,
 }
 
 impl Submaps {
@@ -120,7 +120,7 @@ impl Submaps {
                     finished: false,
                     given: Vec::new(),
                     given_finished: false,
-                    given_in_map: false,
+                    given_tied: false,
                 });
                 self.path_m = 0.0;
             }
@@ -171,7 +171,7 @@ impl Submaps {
         let range = group.first as usize..(group.first + group.nodes) as usize;
         group.given = relative(&poses[range.clone()]);
         group.given_finished = group.finished;
-        group.given_in_map = in_map(group, back);
+        group.given_tied = is_tied(group, back);
         // The mapper keeps the newest submap, which grows; older ones rarely change and are drawn from nothing.
         if fresh || id != newest {
             self.mapper = OccupancyMapper::new(self.map.clone());
@@ -189,11 +189,11 @@ impl Submaps {
     /// Whether a submap must be published again.
     fn is_due(&self, group: &Group, back: &BackEnd) -> bool {
         let (given, poses) = (group.given.len(), back.graph().poses());
-        if in_map(group, back) != group.given_in_map {
+        if is_tied(group, back) != group.given_tied {
             return true;
         }
-        if !group.given_in_map {
-            // Nothing of a disconnected submap is published.
+        if !group.given_tied {
+            // Nothing of an untied submap is published.
             return false;
         }
         if given == 0 || group.nodes >= given as u32 + GROWN_NODES || group.finished != group.given_finished {
@@ -264,15 +264,15 @@ impl Submaps {
     /// Information reduced by the drift of a chain of links between two submaps.
     fn with_drift(&self, information: Matrix3<f64>, a_from_b: Pose2) -> Matrix3<f64> {
         let distance_m = a_from_b.x_m.hypot(a_from_b.y_m);
-        let m = self.links.floor_m + DRIFT_SHARE * self.links.drift_m_per_m * distance_m;
-        let rad = self.links.floor_rad + DRIFT_SHARE * self.links.drift_rad_per_m * distance_m;
+        let m = self.links.sigma_min_m + DRIFT_SHARE * self.links.drift_m_per_m * distance_m;
+        let rad = self.links.sigma_min_rad + DRIFT_SHARE * self.links.drift_rad_per_m * distance_m;
         limit_information(information, [m, rad], REGULARISATION)
     }
 }
 
 /// Whether a submap is part of the map, as its first node is: all its nodes are in one component, and a piece whose position is
 /// uncertain begins within one submap.
-fn in_map(group: &Group, back: &BackEnd) -> bool {
+fn is_tied(group: &Group, back: &BackEnd) -> bool {
     back.nodes().get(group.first as usize).is_some_and(|node| node.is_tied())
 }
 

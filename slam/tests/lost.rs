@@ -117,7 +117,7 @@ fn a_robot_carried_off_within_its_map_is_lost_draws_nothing_and_is_found() {
         assert_eq!(drive.wrong(world_from_map, 0.2), 0, "it said to know where it was, and was wrong");
         let last = drive.said[drive.said.len() - 1];
         assert_ne!(last.0, TrackingState::Lost, "not found: {:?}", drive.slam.back_counts());
-        assert_eq!(drive.slam.back_counts().disconnected, 0);
+        assert_eq!(drive.slam.back_counts().untied, 0);
         // What it saw before it was found is in its place now, and so are all poses.
         let (ghosts, occupied) = drive.ghosts(world_from_map);
         assert!(ghosts == 0 && occupied > 500, "{ghosts} of {occupied} cells are no walls");
@@ -151,7 +151,7 @@ fn a_robot_carried_to_another_room_stays_lost_until_it_knows_that_one_better() {
     let world_from_map = drive.said[0].2;
     assert!(drive.said[carried..].iter().all(|(state, ..)| *state == TrackingState::Lost));
     let counts = drive.slam.back_counts();
-    assert!(counts.disconnected > 15 && counts.disconnected < nodes, "{counts:?}");
+    assert!(counts.untied > 15 && counts.untied < nodes, "{counts:?}");
     let (ghosts, occupied) = drive.ghosts(world_from_map);
     assert!(ghosts == 0 && occupied > 500, "{ghosts} of {occupied} cells are no walls");
     // The larger piece is the map in the end: the other one is held back then.
@@ -159,7 +159,7 @@ fn a_robot_carried_to_another_room_stays_lost_until_it_knows_that_one_better() {
         drive.drive(&wander());
     }
     let counts = drive.slam.back_counts();
-    assert_eq!(counts.disconnected, nodes, "{counts:?}");
+    assert_eq!(counts.untied, nodes, "{counts:?}");
     let (state, said, truth) = drive.said[drive.said.len() - 1];
     assert_eq!(state, TrackingState::Tracking);
     let world_from_map = truth * said.inverse();

@@ -4,7 +4,7 @@ mod common;
 
 use common::{FULL, Noise, Robot, cast, laboratory};
 use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
-use slam::{BackEnd, FrontEnd, Identity, PoseEstimate, Slam, SlamConfig};
+use slam::{BackEnd, FrontEnd, Identity, LocalFrameEstimate, Slam, SlamConfig};
 
 type Log = Vec<(Odometry, Box<Scan>, Pose2)>;
 
@@ -70,7 +70,11 @@ fn a_map_begins_where_it_is_told_to() {
     let log = log(&mut robot, 16, 4);
     let (mut front, mut back) = (FrontEnd::new(SlamConfig::default()), BackEnd::new(SlamConfig::default()));
     let told = Pose2::new(5.0, -3.0, 2.0);
-    back.start_relocalization(Some(PoseEstimate { map_from_local: told, sigma_m: 0.1, sigma_rad: 0.05 }));
+    back.start_relocalization(Some(LocalFrameEstimate {
+        map_from_local: told,
+        sigma_m: 0.1,
+        sigma_rad: 0.05,
+    }));
     front.set_map_from_local(Some(told));
     let world_from_map = log[0].2 * told.inverse();
     for (odometry, scan, truth) in &log {

@@ -7,7 +7,7 @@ use common::ring_log;
 use proptest::prelude::*;
 use slam::session::log::{LogContents, LogPosition, LogRecord, LogRecordBuilder};
 use slam::session::{BYTES_MAX, VERSION};
-use slam::{Identity, InitialPose, PoseEstimate, Session, SessionError, SlamConfig};
+use slam::{Identity, InitialPose, LocalFrameEstimate, Session, SessionError, SlamConfig};
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -24,7 +24,8 @@ fn example() -> &'static (Vec<u8>, Vec<u8>) {
         let (mut front, mut back) =
             slam::begin(SlamConfig::default(), None, Default::default(), InitialPose::Unknown);
         let mut newest = LogPosition::default();
-        let estimate = PoseEstimate { map_from_local: Default::default(), sigma_m: 0.1, sigma_rad: 0.1 };
+        let estimate =
+            LocalFrameEstimate { map_from_local: Default::default(), sigma_m: 0.1, sigma_rad: 0.1 };
         let mut session = None;
         for (odometry, scan, _) in &ring_log() {
             front.add_odometry(odometry);

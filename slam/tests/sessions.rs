@@ -7,7 +7,7 @@ use common::{FULL, Lidar, Log, Noise, Robot, Wall, bits, cast, laboratory, recta
 use msg::grid::{Occupancy, occupancy};
 use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
 use slam::session::VERSION;
-use slam::{Identity, InitialPose, PoseEstimate, Session, SessionError, Slam, SlamConfig};
+use slam::{Identity, InitialPose, LocalFrameEstimate, Session, SessionError, Slam, SlamConfig};
 
 /// Drives (linear m/s, angular rad/s, seconds) legs at 10 scans a second.
 fn log(walls: &[Wall], lidar: &Lidar, robot: &mut Robot, legs: &[(f64, f64, f64)], seed: u64) -> Log {
@@ -170,7 +170,7 @@ fn a_robot_that_is_told_where_it_is_is_there_at_once() {
     let log = elsewhere(&FULL, 4);
     let truth = world_from_map.between(log[0].2);
     let guess = Pose2::new(truth.x_m + 0.25, truth.y_m - 0.2, truth.yaw_rad + 0.15);
-    let hint = PoseEstimate { map_from_local: guess, sigma_m: 0.3, sigma_rad: 0.2 };
+    let hint = LocalFrameEstimate { map_from_local: guess, sigma_m: 0.3, sigma_rad: 0.2 };
     for mode in [SlamMode::Mapping, SlamMode::Localization] {
         let mut slam =
             Slam::begin(SlamConfig::default(), Some(session.clone()), mode, InitialPose::Near(hint));

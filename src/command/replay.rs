@@ -28,7 +28,9 @@ use formats::map_file::write_doubted_map;
 use merge::MergeConfig;
 use msg::{Odometry, Pose2, Scan, Stamp};
 use records::{BagArgs, Log, is_recording};
-use slam::{BackEnd, FrontEnd, Identity, InitialPose, Node, PlaceInMap, PoseEstimate, Revision, SlamConfig};
+use slam::{
+    BackEnd, FrontEnd, Identity, InitialPose, LocalFrameEstimate, Node, PlaceInMap, Revision, SlamConfig,
+};
 use std::path::PathBuf;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
@@ -238,7 +240,7 @@ fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), R
     let session = session_file::read_any(path, &Identity::new(0, 0, &config), &config)?;
     let [sigma_m, sigma_rad] = TOLD_SIGMA;
     let start = match args.at {
-        Some(map_from_local) => InitialPose::Near(PoseEstimate { map_from_local, sigma_m, sigma_rad }),
+        Some(map_from_local) => InitialPose::Near(LocalFrameEstimate { map_from_local, sigma_m, sigma_rad }),
         None if args.go_on => InitialPose::Continue,
         None => InitialPose::Unknown,
     };

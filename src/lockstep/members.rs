@@ -9,7 +9,7 @@ use crate::ports::Clock;
 use crate::process::bridge::BridgeProcess;
 use crate::process::control::files::ImmediateFiles;
 use crate::process::file_thread::ImmediateJobs;
-use crate::process::graph::GraphWorker;
+use crate::process::graph_worker::GraphWorker;
 use crate::process::merge::{self, MergeProcess};
 use crate::process::nav::NavigationProcess;
 use crate::process::nav::memory::NavigationFile;
@@ -288,7 +288,7 @@ impl SlamBody {
 
     fn step(&mut self, thread: usize) -> Monotonic {
         match thread {
-            0 => self.process.scan_path.step(),
+            0 => self.process.front_end_loop.step(),
             1 => self.process.back_end.step(self.input.take()),
             _ => {
                 let files = &mut self.process.files;

@@ -7,7 +7,9 @@ pub use maps::{QueueMapReader, QueueMapWriter};
 
 use super::faults::{Delivery, FaultPlan};
 use crate::channel::{Channel, ChannelRow, Direction, Opener};
-use crate::ports::{ChannelError, Clock, Gaps, Ports, ProcessUsage, ReadPort, Stamper, WritePort};
+use crate::ports::{
+    ChannelError, Clock, MessageSequencer, Ports, ProcessUsage, ReadPort, ReceiveCounts, WritePort,
+};
 use maps::PatchMessage;
 use msg::tiles::{PatchReceiver, PatchSender};
 use msg::{Message, Monotonic, PatchHeader};
@@ -292,14 +294,14 @@ impl Ports for MemoryPorts {
 
     fn writer<T: Message>(&self, channel: &Channel<T>) -> Result<QueueWriter<T>, ChannelError> {
         self.open(channel, Direction::Write)?;
-        let stamper = Stamper::new(self.incarnation);
+        let stamper = MessageSequencer::new(self.incarnation);
         Ok(QueueWriter { network: self.network.clone(), topic: self.topic(channel), stamper }.opened())
     }
 
     fn reader<T: Message>(&self, channel: &Channel<T>) -> Result<QueueReader<T>, ChannelError> {
         self.open(channel, Direction::Read)?;
         let queue = self.topic(channel).subscribe();
-        Ok(QueueReader { clock: self.clock(), queue, gaps: Gaps::default() })
+        Ok(QueueReader { clock: self.clock(), queue, gaps: ReceiveCounts::default() })
     }
 
     fn listener<T: Message>(&self, channel: &Channel<T>) -> Result<Rc<Cell<bool>>, ChannelError> {
@@ -316,7 +318,7 @@ impl Ports for MemoryPorts {
         let topic: Rc<Topic<PatchMessage>> = self.topic(channel);
         let requests = self.hold(Rc::new(Cell::new(false)));
         *topic.request_listener.borrow_mut() = Rc::downgrade(&requests);
-        let stamper = Stamper::new(self.incarnation);
+        let stamper = MessageSequencer::new(self.incarnation);
         let network = self.network.clone();
         Ok(QueueMapWriter { network, topic, requests, stamper, sender: PatchSender::default(), bytes: 0 })
     }
@@ -329,7 +331,7 @@ impl Ports for MemoryPorts {
             queue: topic.subscribe(),
             topic,
             asked: None,
-            gaps: Gaps::default(),
+            gaps: ReceiveCounts::default(),
             receiver: PatchReceiver::default(),
         })
     }
@@ -339,7 +341,7 @@ impl Ports for MemoryPorts {
 pub struct QueueWriter<T> {
     network: Rc<Network>,
     topic: Rc<Topic<T>>,
-    stamper: Stamper,
+    stamper: MessageSequencer,
 }
 
 impl<T> QueueWriter<T> {
@@ -379,7 +381,7 @@ impl<T: Message> WritePort<T> for QueueWriter<T> {
 pub struct QueueReader<T> {
     clock: VirtualClock,
     queue: Rc<Queue<T>>,
-    gaps: Gaps,
+    gaps: ReceiveCounts,
 }
 
 impl<T: Message> ReadPort<T> for QueueReader<T> {
@@ -391,7 +393,7 @@ impl<T: Message> ReadPort<T> for QueueReader<T> {
         Some(message)
     }
 
-    fn gaps(&self) -> Gaps {
+    fn gaps(&self) -> ReceiveCounts {
         self.gaps
     }
 }

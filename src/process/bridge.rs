@@ -45,7 +45,7 @@ pub struct BridgeProcess<P: Ports, W: FileWorker> {
     /// Feeds of the topics.
     pub feeds: Vec<Feed<P::Listener>>,
     /// What is due with time.
-    pub upkeep: Upkeep<P, W>,
+    pub upkeep: PeriodicTasks<P, W>,
 }
 
 impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
@@ -81,7 +81,7 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
         }
         let (clock, bridge_of_upkeep) = (ports.clock(), bridge.clone());
         let upkeep =
-            Upkeep { bridge: bridge_of_upkeep, control, goals, exploration, zones, heartbeat, clock };
+            PeriodicTasks { bridge: bridge_of_upkeep, control, goals, exploration, zones, heartbeat, clock };
         Ok(Self { bridge, feeds, upkeep })
     }
 }
@@ -94,7 +94,7 @@ impl<P: Ports, W: FileWorker> ProcessLoop for BridgeProcess<P, W> {
 }
 
 /// Does what is due with time: late service calls, the dead man, saving of state, the health report.
-pub struct Upkeep<P: Ports, W> {
+pub struct PeriodicTasks<P: Ports, W> {
     bridge: Rc<Bridge>,
     /// Requests of the person at the laptop.
     pub control: Rc<RefCell<Control<W>>>,
@@ -105,7 +105,7 @@ pub struct Upkeep<P: Ports, W> {
     clock: P::Clock,
 }
 
-impl<P: Ports, W: FileWorker> ProcessLoop for Upkeep<P, W> {
+impl<P: Ports, W: FileWorker> ProcessLoop for PeriodicTasks<P, W> {
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         self.bridge.tick(now);

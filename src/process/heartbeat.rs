@@ -2,7 +2,7 @@
 
 use crate::channel;
 use crate::clock::Epoch;
-use crate::ports::{ChannelError, Clock, Gaps, Ports, WritePort};
+use crate::ports::{ChannelError, Clock, Ports, ReceiveCounts, WritePort};
 use crate::run::Run;
 use msg::{Monotonic, ProcessHealth, RobotId, Role};
 
@@ -27,7 +27,7 @@ pub struct Heartbeat<P: Ports> {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct HealthCounters {
     /// Messages received and missed on its main input.
-    pub gaps: Gaps,
+    pub gaps: ReceiveCounts,
     /// Clients that are connected now (bridge only).
     pub clients: u32,
     /// Messages dropped for slow readers.

@@ -3,15 +3,15 @@
 //! One thread draws the map. The fleet's pose graph, which estimates the transforms and redraws deformed maps, is on a
 //! second thread ([`graph`]).
 
-use super::graph::{self, FleetEstimate, FleetEstimateSlot, GraphState};
+use super::graph_worker::{self, FleetEstimate, FleetEstimateSlot, GraphWorkerParts, RobotMapEstimate};
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::fleet;
 use crate::merge_maps::{HeldMap, MapFiles, MapSlot, RestoredMaps};
-use crate::merge_memory::MergeMemory;
+use crate::merge_state_file::MergeStateFile;
 use crate::ports::{
-    ChannelError, Clock as _, Gaps, MAP_PAUSE, Ports, ReadMapPort, ReadPort, WriteMapPort, WritePort,
+    ChannelError, Clock as _, MAP_PAUSE, Ports, ReadMapPort, ReadPort, ReceiveCounts, WriteMapPort, WritePort,
 };
 use crate::progress::WatchedThread;
 use crate::run::Run;
@@ -32,7 +32,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Merge, None)?;
     let mut process = MergeProcess::open(&node, run, &state, &restored)?;
     std::thread::scope(|scope| {
-        let graph_thread = scope.spawn(|| graph::run(run, state, &done));
+        let graph_thread = scope.spawn(|| graph_worker::run(run, state, &done));
         let progress = run.progress(Role::Merge, None, WatchedThread::Main);
         serve(&mut process, progress, &|| stop.requested() || graph_thread.is_finished());
         done.store(true, Ordering::Relaxed);
@@ -43,13 +43,13 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 
 /// Restores the state of an earlier process of this run, and the robots' maps that it held: the transforms hold from the
 /// first map on.
-pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(GraphState<S>, RestoredMaps), Error> {
+pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(GraphWorkerParts<S>, RestoredMaps), Error> {
     let starts = fleet::known_starts(&run.config)?;
     let mut graph = FleetPoseGraph::new(&run.config.merge, &starts);
-    let memory = MergeMemory::restore(run, storage.clone(), &mut graph);
+    let memory = MergeStateFile::restore(run, storage.clone(), &mut graph);
     let files = MapFiles::new(run, storage);
     let restored = files.restore(run.robots());
-    Ok((GraphState { graph, memory, files, estimates: Arc::default(), maps: Arc::default() }, restored))
+    Ok((GraphWorkerParts { graph, memory, files, estimates: Arc::default(), maps: Arc::default() }, restored))
 }
 
 /// Longest time for which a restarted process sends no map. SLAM sends its whole map within 0.2 s of the request; one that
@@ -83,7 +83,7 @@ struct Inputs<P: Ports> {
     maps: Vec<(RobotId, P::MapReader)>,
     corrections: Vec<(RobotId, P::Reader<Correction>)>,
     /// Time of the newest correction of each robot, by [`RobotId::index`]; zero: none yet.
-    slam_received: [Monotonic; ROBOTS_MAX],
+    correction_received: [Monotonic; ROBOTS_MAX],
     estimates: Arc<FleetEstimateSlot>,
     /// The robots' newest maps, to be kept in files.
     held_maps: Arc<MapSlot>,
@@ -136,7 +136,7 @@ impl<P: Ports> MergeProcess<P> {
     pub fn open<S>(
         ports: &P,
         run: &Run,
-        state: &GraphState<S>,
+        state: &GraphWorkerParts<S>,
         restored: &[(RobotId, HeldMap)],
     ) -> Result<Self, ChannelError> {
         let robots = run.robots();
@@ -149,16 +149,16 @@ impl<P: Ports> MergeProcess<P> {
         let clock = ports.clock();
         let until = clock.now() + RESTART_HOLD_MAX;
         let missing: Vec<RobotId> = restored.iter().map(|(robot, _)| *robot).collect();
-        let mut slam_received = [Monotonic::default(); ROBOTS_MAX];
+        let mut correction_received = [Monotonic::default(); ROBOTS_MAX];
         for (robot, held) in restored {
-            slam_received[robot.index()] = held.slam_received;
+            correction_received[robot.index()] = held.correction_received;
         }
         let mut process = Self {
             merger: Merger::new(&run.config.merge, &starts),
             inputs: Inputs {
                 maps: maps.collect::<Result<_, ChannelError>>()?,
                 corrections: corrections.collect::<Result<_, ChannelError>>()?,
-                slam_received,
+                correction_received,
                 estimates: state.estimates.clone(),
                 held_maps: state.maps.clone(),
             },
@@ -188,8 +188,10 @@ impl<P: Ports> MergeProcess<P> {
                 let merger = &mut self.merger;
                 let taken = self.heartbeat.measure(|| merger.update_tiles(*robot, reader.map())).is_ok();
                 if taken {
-                    let slam_received = self.inputs.slam_received[robot.index()];
-                    self.inputs.held_maps.put(*robot, HeldMap { map: reader.map().clone(), slam_received });
+                    let correction_received = self.inputs.correction_received[robot.index()];
+                    self.inputs
+                        .held_maps
+                        .put(*robot, HeldMap { map: reader.map().clone(), correction_received });
                 }
                 self.restart.iter_mut().for_each(|restart| restart.record_map(*robot));
                 self.refused += u64::from(!taken);
@@ -200,7 +202,7 @@ impl<P: Ports> MergeProcess<P> {
             let received = reader.gaps().received;
             changed |= set_footprint::<P>(&mut self.merger, *robot, reader, self.robot_radius_m);
             if reader.gaps().received != received {
-                self.inputs.slam_received[robot.index()] = self.clock.now();
+                self.inputs.correction_received[robot.index()] = self.clock.now();
             }
         }
         if let Some(estimate) = self.inputs.estimates.take() {
@@ -213,9 +215,9 @@ impl<P: Ports> MergeProcess<P> {
 
     /// Sends where the robots' maps lie, and how old they are.
     fn send_transforms(&mut self) {
-        let slam_received = self.inputs.slam_received;
-        self.transforms.send(&MapTransforms { slam_received, ..self.merger.map_transforms() });
-        self.ages.sent = Some(slam_received);
+        let correction_received = self.inputs.correction_received;
+        self.transforms.send(&MapTransforms { correction_received, ..self.merger.map_transforms() });
+        self.ages.sent = Some(correction_received);
     }
 
     /// Sends the robots' ages if they are due, and keeps the time from which a robot's part of the map is old.
@@ -223,13 +225,15 @@ impl<P: Ports> MergeProcess<P> {
         if !self.ages.is_due(now) {
             return;
         }
-        if self.ages.sent != Some(self.inputs.slam_received) {
+        if self.ages.sent != Some(self.inputs.correction_received) {
             self.send_transforms();
         }
         for (robot, reader) in &self.inputs.maps {
-            let slam_received = self.inputs.slam_received[robot.index()];
-            if self.ages.becomes_old(*robot, slam_received, now) && reader.map().tiles().next().is_some() {
-                self.inputs.held_maps.put(*robot, HeldMap { map: reader.map().clone(), slam_received });
+            let correction_received = self.inputs.correction_received[robot.index()];
+            if self.ages.becomes_old(*robot, correction_received, now)
+                && reader.map().tiles().next().is_some()
+            {
+                self.inputs.held_maps.put(*robot, HeldMap { map: reader.map().clone(), correction_received });
             }
         }
     }
@@ -245,8 +249,8 @@ impl<P: Ports> MergeProcess<P> {
         self.merged.send(self.merger.merged_tiles())
     }
 
-    fn gaps(&self) -> Gaps {
-        self.inputs.maps.iter().fold(Gaps::default(), |mut sum, (_, reader)| {
+    fn gaps(&self) -> ReceiveCounts {
+        self.inputs.maps.iter().fold(ReceiveCounts::default(), |mut sum, (_, reader)| {
             sum.received += reader.gaps().received;
             sum.lost += reader.gaps().lost;
             sum
@@ -284,9 +288,11 @@ impl<P: Ports> Listens<P::Listener> for MergeProcess<P> {
 /// Applies the estimate of the fleet's pose graph to every robot; returns how many maps could not be used.
 fn apply_estimate(merger: &mut Merger, estimate: &FleetEstimate) -> u64 {
     let robots = RobotId::first(estimate.len()).zip(estimate);
-    let refused = |(robot, (transform, map)): (RobotId, &(Option<Pose2>, _))| -> u64 {
-        let map: &Option<Arc<msg::Grid>> = map;
-        merger.apply_fleet_estimate(robot, *transform, map.as_ref()).is_err().into()
+    let refused = |(robot, estimate): (RobotId, &RobotMapEstimate)| -> u64 {
+        merger
+            .apply_fleet_estimate(robot, estimate.map_from_robot_map, estimate.redrawn.as_ref())
+            .is_err()
+            .into()
     };
     robots.map(refused).sum()
 }

@@ -6,7 +6,7 @@
 pub mod bridge;
 pub mod control;
 pub mod file_thread;
-pub mod graph;
+pub mod graph_worker;
 pub mod heartbeat;
 pub mod link;
 mod map_publisher;

@@ -11,7 +11,7 @@ use crate::fleet;
 use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
-use ::bridge::dds::{DdsEndpoint, RosLink};
+use ::bridge::dds::{DdsEndpoint, DdsQueues};
 use ::bridge::{Bridge, FleetMessage};
 use msg::{Clock, Role, VelocityCommand};
 use std::cell::Cell;
@@ -25,7 +25,7 @@ const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
 /// Starts the thread; returns the task that passes its messages to the bridge.
 pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error> {
-    let link = Arc::new(RosLink::default());
+    let link = Arc::new(DdsQueues::default());
     let commands = link.clone();
     bridge.on_ros_command(move |command| commands.send_command(command));
     let task = spawn_local(pass_to_bridge(run.clone(), bridge.clone(), link.clone()));
@@ -39,7 +39,7 @@ pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()
 }
 
 /// Passes received messages to the bridge, and publishes the time until ROS does.
-async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, link: Arc<RosLink>) {
+async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, link: Arc<DdsQueues>) {
     // A simulator such as Gazebo publishes /clock; real robots use the time of day.
     let has_clock = Cell::new(run.config.world != World::Ros);
     let receive = async {
@@ -61,13 +61,13 @@ async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, link: Arc<RosLink>) {
 }
 
 /// Runs the endpoint until it is asked to stop.
-fn serve(run: &Run, stop: &Stop, link: Arc<RosLink>) -> Result<(), Error> {
+fn serve(run: &Run, stop: &Stop, link: Arc<DdsQueues>) -> Result<(), Error> {
     let mut result = Ok(());
     event_loop::run(Box::pin(async { result = serve_feeds(run, stop, link).await }))?;
     result
 }
 
-async fn serve_feeds(run: &Run, stop: &Stop, link: Arc<RosLink>) -> Result<(), Error> {
+async fn serve_feeds(run: &Run, stop: &Stop, link: Arc<DdsQueues>) -> Result<(), Error> {
     // A participant of its own: ports of shared memory stay on the thread that opened them.
     let participant = run.attach_thread(Role::Bridge, None, "ros2")?;
     let is_external = run.config.world == World::Ros;

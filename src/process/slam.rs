@@ -1,4 +1,4 @@
-//! One robot's SLAM process. One thread answers scans and waits for nothing else ([`scan_path`]); the back-end thread
+//! One robot's SLAM process. One thread answers scans and waits for nothing else ([`front_end_loop`]); the back-end thread
 //! closes loops, solves, draws the map and answers requests ([`back_end`]); a third reads and writes files ([`files`]).
 //!
 //! ```text
@@ -11,8 +11,8 @@ mod autosave;
 pub mod back_end;
 pub mod commands;
 pub mod files;
+pub mod front_end_loop;
 pub mod refused;
-pub mod scan_path;
 mod services;
 pub mod session_log;
 
@@ -29,9 +29,9 @@ use ::slam::{
     BackEnd, FrontEnd, FrontEndState, InitialPose, NODES_IN_FLIGHT_MAX, Node, Revision, Session, SlamConfig,
 };
 use back_end::BackEndWorker;
-use files::{FileWorker, Job, JobOutcome};
+use files::{Job, JobOutcome, SlamFileWorker};
+use front_end_loop::FrontEndLoop;
 use msg::{Header, Pose2, RobotId, Role, SlamMode};
-use scan_path::ScanPath;
 use session_log::LogEnd;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
@@ -63,19 +63,22 @@ pub enum FrontEvent {
     Ended(Box<FrontEndState>),
 }
 
-/// Pose in the map at which a new trajectory of the front end starts.
+/// Where a new trajectory of the front end starts in the map.
 #[derive(Clone, Copy, Debug)]
 pub enum TrajectoryStart {
-    /// The front end continues where `odom` lay: the map from the front end's own frame.
-    At(Pose2),
+    /// The front end continues where `odom` lay.
+    At {
+        /// Pose of the front end's frame in the map.
+        map_from_local: Pose2,
+    },
     /// The robot has moved in an unknown way.
     Unknown,
 }
 
-/// Command from the back end to the scan path.
+/// Command from the back end to the front end.
 pub enum FrontCommand {
-    /// Reports the outcome of a node.
-    ApplyRevision(Revision),
+    /// Reports what a node changed in the map; it takes effect with the node that it names.
+    QueueRevision(Revision),
     /// Sets whether scans are ignored.
     Pause(bool),
     /// Requests the front end's state, which comes as [`FrontEvent::State`].
@@ -92,7 +95,7 @@ pub enum FrontCommand {
     /// Sets the transform of the front end's frame in the map at once, not with the next node; `None`: unknown.
     SetMapFromLocal(Option<Pose2>),
     /// Applies the back end's newest state at once: its graph has changed without a node.
-    Apply(Revision),
+    ApplyRevisionNow(Revision),
     /// Makes a node of the next scan, because a request waits for one.
     RequestNode,
 }
@@ -100,11 +103,11 @@ pub enum FrontCommand {
 /// The three components of a SLAM process, and the ends of the queues between them.
 pub struct SlamProcess<P: Ports, S> {
     /// Matches each scan and publishes the robot's pose.
-    pub scan_path: ScanPath<P>,
+    pub front_end_loop: FrontEndLoop<P>,
     /// Closes loops, solves the graph, draws the map, answers requests.
     pub back_end: BackEndWorker<P>,
     /// Reads and writes files of sessions and maps.
-    pub files: FileWorker<P::Clock, S>,
+    pub files: SlamFileWorker<P::Clock, S>,
     /// Queue to the back end.
     pub inputs: Receiver<BackEndInput>,
     /// Queue to the file worker.
@@ -127,10 +130,11 @@ impl<P: Ports, S: Storage> SlamProcess<P, S> {
         let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
         let (job_sender, jobs) = sync_channel::<Job>(files::JOBS_MAX);
         let outcomes = events.clone();
-        let scan_path = ScanPath::open(scan_ports, run, robot, (front, odom_pose), events, commands_in)?;
+        let front_end_loop =
+            FrontEndLoop::open(scan_ports, run, robot, (front, odom_pose), events, commands_in)?;
         let back_end = BackEndWorker::open(map_ports, run, robot, back, commands, job_sender)?;
-        let files = FileWorker::new(live_config(run), storage, scan_ports.clock(), outcomes);
-        Ok(Self { scan_path, back_end, files, inputs, jobs })
+        let files = SlamFileWorker::new(live_config(run), storage, scan_ports.clock(), outcomes);
+        Ok(Self { front_end_loop, back_end, files, inputs, jobs })
     }
 }
 
@@ -141,9 +145,10 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
     let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
     let (job_sender, jobs) = sync_channel::<Job>(files::JOBS_MAX);
-    let mut files = FileWorker::new(live_config(run), DiskStorage, scan_ports.clock(), events.clone());
+    let mut files = SlamFileWorker::new(live_config(run), DiskStorage, scan_ports.clock(), events.clone());
     let Start { front, back, odom_pose } = begun;
-    let mut scan_path = ScanPath::open(&scan_ports, run, robot, (front, odom_pose), events, commands_in)?;
+    let mut front_end_loop =
+        FrontEndLoop::open(&scan_ports, run, robot, (front, odom_pose), events, commands_in)?;
     std::thread::scope(|scope| {
         scope.spawn(move || {
             time_slice::request_default();
@@ -160,8 +165,8 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
             Ok(())
         });
         let progress = run.progress(Role::Slam, Some(robot), WatchedThread::Main);
-        serve(&mut scan_path, progress, &|| stop.requested() || back_end.is_finished());
-        scan_path.end();
+        serve(&mut front_end_loop, progress, &|| stop.requested() || back_end.is_finished());
+        front_end_loop.end();
         back_end.join().map_err(|_| "the back-end thread panicked")?.map_err(Error::from)
     })
 }

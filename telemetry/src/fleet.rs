@@ -170,7 +170,7 @@ impl Telemetry {
                 map_transform_error_m: error_m,
                 map_transform_error_rad: error_rad,
                 merged: u32::from(transform.is_some()),
-                map_age_s: age_s(self.map_transforms.slam_received[index], now),
+                map_age_s: age_s(self.map_transforms.correction_received[index], now),
                 ..robot.stats(stamp)
             };
         }

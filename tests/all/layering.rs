@@ -83,7 +83,7 @@ fn only_runtime_uses_shared_memory_and_only_the_bridge_uses_sockets() {
             );
         }
     }
-    for source in product_files(".") {
+    for source in crates().iter().flat_map(|(_, folder)| product_files(folder)) {
         let owns = source.path.starts_with("runtime/src/shared_memory");
         assert!(owns || !source.text.contains("iceoryx2::"), "{} uses iceoryx2", source.path);
     }

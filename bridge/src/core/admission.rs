@@ -98,7 +98,7 @@ const EVENTS_MAX: usize = 16;
 
 /// The newest time that the bridge was called with, the clients that are being dropped, and what is to be told.
 #[derive(Default)]
-pub struct Departures {
+pub struct ClosingClients {
     now: Monotonic,
     /// What is left to send to clients that were dropped: the reason comes last.
     leaving: VecDeque<(ClientId, OutgoingQueue)>,

@@ -1,14 +1,14 @@
 //! The ROS 2 endpoint as one DDS participant with one ROS node.
 
 use super::entities::{EndpointError, EntityFactory, RawReader, cannot_create, join_domain, node_name};
-use super::graph::Graph;
+use super::graph::NodeGraphAnnouncer;
 use super::inputs::{self, InputTopic};
-use super::link::RosLink;
+use super::link::DdsQueues;
 use super::relay::TopicRelay;
 use super::services::ServiceRelay;
 use super::writers::TopicWriters;
 use crate::config::{BridgeConfig, DdsConfig};
-use crate::fleet_topics::{FleetMessage, FleetPublisher, FleetTopic, LinkTransforms};
+use crate::fleet_topics::{FleetMessage, FleetPublisher, FleetTopic, LinkTransformPolicy};
 use crate::input::Input;
 use crate::relay::{ReceivedMessage, RosCommand, RosEvent};
 use crate::transport::Transport;
@@ -47,7 +47,7 @@ pub struct DdsEndpoint {
     state: RefCell<EndpointState>,
     inputs: Vec<(InputTopic, Rc<RawReader>)>,
     participant: DomainParticipant,
-    link: Arc<RosLink>,
+    link: Arc<DdsQueues>,
     started: Instant,
     /// Time between two repetitions of the transforms map -> odom.
     transform_period: Option<Duration>,
@@ -58,11 +58,11 @@ struct EndpointState {
     relay: TopicRelay,
     publisher: FleetPublisher,
     services: ServiceRelay,
-    graph: Graph,
+    graph: NodeGraphAnnouncer,
     input_guids: Vec<GUID>,
     /// The writer of another participant that sent the last velocity.
     last_driver: Option<GUID>,
-    link: Arc<RosLink>,
+    link: Arc<DdsQueues>,
     /// Whether readers or writers have come or gone that the graph does not show yet.
     is_graph_due: bool,
 }
@@ -76,21 +76,22 @@ impl DdsEndpoint {
         config: &BridgeConfig,
         robots: impl Into<RobotNames>,
         is_external: bool,
-        link: Arc<RosLink>,
+        link: Arc<DdsQueues>,
     ) -> Result<Self, EndpointError> {
         let robots: RobotNames = robots.into();
         let dds: &DdsConfig = &config.dds;
         let participant = join_domain(dds)?;
         let node = node_name(dds)?;
         let factory = EntityFactory::new(&participant, node.clone(), &dds.namespace)?;
-        let graph = Graph::new(&participant, factory.publisher(), node);
+        let graph = NodeGraphAnnouncer::new(&participant, factory.publisher(), node);
         let graph = graph.map_err(cannot_create("the node graph"))?;
         let writers = TopicWriters::open(&factory, &robots, is_external.then_some(dds.velocity))?;
         let inputs = inputs::topics(&robots, dds.velocity, is_external, config.may_ros_drive())
             .into_iter()
             .map(|input| factory.input_reader(&input).map(|reader| (input, reader)))
             .collect::<Result<Vec<_>, EndpointError>>()?;
-        let link_transforms = if is_external { LinkTransforms::ByRobots } else { LinkTransforms::Split };
+        let link_transforms =
+            if is_external { LinkTransformPolicy::ByRobots } else { LinkTransformPolicy::Split };
         let mut publisher = FleetPublisher::new(config.frame_names, &robots, link_transforms);
         publisher.set_odometry_sigmas(config.odometry_sigmas);
         publisher.set_repetition(dds.repetition());
@@ -201,8 +202,8 @@ impl Transport for DdsEndpoint {
         }
     }
 
-    fn is_read(&self, topic: FleetTopic, robot: RobotId) -> bool {
-        self.state.borrow().writers.is_read(topic, robot)
+    fn has_subscriber(&self, topic: FleetTopic, robot: RobotId) -> bool {
+        self.state.borrow().writers.has_subscriber(topic, robot)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Creates the DDS entities of the endpoint: topics with ROS names, readers and writers.
 
 use super::inputs::InputTopic;
-use super::raw::{Adapter, Raw};
+use super::raw::{CdrPassthrough, SerializedMessage};
 use super::service_endpoint::ServiceTopicName;
 use super::topic_writer::TopicWriter;
 use crate::config::DdsConfig;
@@ -21,9 +21,9 @@ use thiserror::Error;
 const INPUT_DEPTH: i32 = 10;
 
 /// A reader of undecoded messages.
-pub type RawReader = SimpleDataReader<Raw, Adapter>;
+pub type RawReader = SimpleDataReader<SerializedMessage, CdrPassthrough>;
 /// A writer of encoded messages.
-pub type RawWriter = DataWriter<Raw, Adapter>;
+pub type RawWriter = DataWriter<SerializedMessage, CdrPassthrough>;
 
 /// Why the ROS 2 endpoint cannot be opened.
 #[derive(Debug, Error)]

@@ -14,13 +14,13 @@ use ros2_client::{Gid, NodeName};
 const ANNOUNCEMENTS_MAX: i32 = 8;
 
 /// The source of what `ros2 node list` and `ros2 topic info` show.
-pub struct Graph {
+pub struct NodeGraphAnnouncer {
     participant: GUID,
     node: NodeName,
     writer: DataWriterCdr<ParticipantEntitiesInfo>,
 }
 
-impl Graph {
+impl NodeGraphAnnouncer {
     /// Creates the announcements of the participant's only node.
     pub fn new(participant: &DomainParticipant, publisher: &Publisher, node: NodeName) -> CreateResult<Self> {
         let limits = ResourceLimits {

@@ -15,12 +15,12 @@ const BYTES_MAX: usize = 32 << 20;
 const REGISTRATIONS_MAX: usize = 16_384;
 
 /// What passes over the link.
-trait Parcel {
+trait Queued {
     /// Returns the topic and the length of a message, bytes; `None` for a registration, which is not dropped.
     fn message(&self) -> Option<(&str, usize)>;
 }
 
-impl Parcel for RosCommand {
+impl Queued for RosCommand {
     fn message(&self) -> Option<(&str, usize)> {
         match self {
             Self::Publish { topic: name, payload }
@@ -31,7 +31,7 @@ impl Parcel for RosCommand {
     }
 }
 
-impl Parcel for RosEvent {
+impl Queued for RosEvent {
     fn message(&self) -> Option<(&str, usize)> {
         match self {
             Self::Message { topic, payload } => Some((topic, payload.len())),
@@ -59,12 +59,12 @@ struct Waiting<T> {
 
 /// One direction of the link.
 #[derive(Debug)]
-struct Mailbox<T> {
+struct BoundedQueue<T> {
     waiting: Mutex<Waiting<T>>,
     arrived: Notify,
 }
 
-impl<T: Parcel> Mailbox<T> {
+impl<T: Queued> BoundedQueue<T> {
     fn new() -> Self {
         let waiting = Waiting { parcels: VecDeque::new(), bytes: 0, dropped: 0 };
         Self { waiting: Mutex::new(waiting), arrived: Notify::new() }
@@ -92,7 +92,7 @@ impl<T: Parcel> Mailbox<T> {
     }
 }
 
-impl<T: Parcel> Waiting<T> {
+impl<T: Queued> Waiting<T> {
     fn push(&mut self, parcel: T) {
         match parcel.message() {
             Some((topic, bytes)) => {
@@ -132,18 +132,18 @@ impl<T: Parcel> Waiting<T> {
 
 /// The link between one bridge and one endpoint.
 #[derive(Debug)]
-pub struct RosLink {
-    commands: Mailbox<RosCommand>,
-    events: Mailbox<RosEvent>,
+pub struct DdsQueues {
+    commands: BoundedQueue<RosCommand>,
+    events: BoundedQueue<RosEvent>,
 }
 
-impl Default for RosLink {
+impl Default for DdsQueues {
     fn default() -> Self {
-        Self { commands: Mailbox::new(), events: Mailbox::new() }
+        Self { commands: BoundedQueue::new(), events: BoundedQueue::new() }
     }
 }
 
-impl RosLink {
+impl DdsQueues {
     /// Sends a command to the endpoint. Returns without waiting.
     pub fn send_command(&self, command: RosCommand) {
         self.commands.push(command);
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn the_newest_messages_of_a_topic_are_kept_and_registrations_are_never_dropped() {
-        let link = RosLink::default();
+        let link = DdsQueues::default();
         link.send_command(RosCommand::Unadvertise { topic: "/a".into() });
         (0..DEPTH_MAX + 3).for_each(|length| link.send_command(message("/a", length)));
         link.send_command(message("/b", 5));
@@ -193,7 +193,7 @@ mod tests {
 
     #[test]
     fn bytes_are_bounded_and_one_long_message_passes() {
-        let link = RosLink::default();
+        let link = DdsQueues::default();
         (0..8).for_each(|_| link.send_command(message("/map", BYTES_MAX / 4)));
         assert_eq!(link.commands.lock().bytes, BYTES_MAX);
         assert_eq!(link.dropped(), 4);

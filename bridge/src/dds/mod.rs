@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!   fleet ── FleetMessage ──▶ DdsEndpoint::publish ──▶ RustDDS ──▶ RViz, Nav2, rosbag ...
-//!   Bridge::receive_ros ◀── RosEvent ◀── RosLink ◀── DdsEndpoint::serve ◀── RustDDS ◀── /cmd_vel_1, /plan ...
-//!   Bridge::on_ros_command ── RosCommand ──▶ RosLink ──▶ DdsEndpoint::serve ──▶ RustDDS ──▶ /goal_pose ...
+//!   Bridge::receive_ros ◀── RosEvent ◀── DdsQueues ◀── DdsEndpoint::serve ◀── RustDDS ◀── /cmd_vel_1, /plan ...
+//!   Bridge::on_ros_command ── RosCommand ──▶ DdsQueues ──▶ DdsEndpoint::serve ──▶ RustDDS ──▶ /goal_pose ...
 //! ```
 //! It runs on a thread of its own, so that DDS never delays a headset on TCP. Messages are encoded by [`crate::ros`],
 //! as for TCP, and handed to RustDDS as bytes.
@@ -33,5 +33,5 @@ pub use crate::config::{
 pub use crate::relay::ReceivedMessage;
 pub use endpoint::{DdsCounters, DdsEndpoint};
 pub use entities::EndpointError;
-pub use link::RosLink;
-pub use raw::{Adapter, Raw};
+pub use link::DdsQueues;
+pub use raw::{CdrPassthrough, SerializedMessage};

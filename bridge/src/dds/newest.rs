@@ -1,6 +1,6 @@
 //! The newest sample of each writer on a topic: tells new samples from those that were received before.
 
-use super::raw::Raw;
+use super::raw::SerializedMessage;
 use ros2_client::MessageInfo;
 use ros2_client::dds::rustdds::no_key::DeserializedCacheChange;
 use ros2_client::dds::rustdds::{GUID, SequenceNumber};
@@ -26,7 +26,7 @@ impl NewestSamples {
     }
 
     /// Returns whether a sample is newer than its writer's last one, and records it.
-    pub fn is_new(&self, sample: &DeserializedCacheChange<Raw>) -> bool {
+    pub fn is_new(&self, sample: &DeserializedCacheChange<SerializedMessage>) -> bool {
         let number = SequenceNumber::from(MessageInfo::from(sample).sequence_number());
         let newest = &mut *self.0.borrow_mut();
         let last = newest.insert(sample.writer_guid(), number);

@@ -8,34 +8,34 @@ use std::convert::Infallible;
 
 /// One message as CDR with its encapsulation header. Clones share the bytes.
 #[derive(Clone, Debug)]
-pub struct Raw(pub Bytes);
+pub struct SerializedMessage(pub Bytes);
 
-/// Adapts [`Raw`] to RustDDS's serialization interface.
-pub struct Adapter;
+/// Adapts [`SerializedMessage`] to RustDDS's serialization interface.
+pub struct CdrPassthrough;
 
-impl SerializerAdapter<Raw> for Adapter {
+impl SerializerAdapter<SerializedMessage> for CdrPassthrough {
     type Error = Infallible;
     fn output_encoding() -> RepresentationIdentifier {
         RepresentationIdentifier::CDR_LE
     }
-    fn to_bytes(Raw(bytes): &Raw) -> Result<Bytes, Infallible> {
+    fn to_bytes(SerializedMessage(bytes): &SerializedMessage) -> Result<Bytes, Infallible> {
         // RustDDS writes the encapsulation header itself.
         Ok(bytes.slice(ENCAPSULATION.len().min(bytes.len())..))
     }
 }
 
-impl DeserializerAdapter<Raw> for Adapter {
+impl DeserializerAdapter<SerializedMessage> for CdrPassthrough {
     type Error = Infallible;
-    type Decoded = Raw;
+    type Decoded = SerializedMessage;
     fn supported_encodings() -> &'static [RepresentationIdentifier] {
         &[RepresentationIdentifier::CDR_LE]
     }
-    fn transform_decoded(decoded: Raw) -> Raw {
+    fn transform_decoded(decoded: SerializedMessage) -> SerializedMessage {
         decoded
     }
 }
 
-impl DefaultDecoder<Raw> for Adapter {
+impl DefaultDecoder<SerializedMessage> for CdrPassthrough {
     type Decoder = Copier;
     const DECODER: Copier = Copier;
 }
@@ -44,9 +44,13 @@ impl DefaultDecoder<Raw> for Adapter {
 #[derive(Clone)]
 pub struct Copier;
 
-impl Decode<'_, Raw> for Copier {
+impl Decode<'_, SerializedMessage> for Copier {
     type Error = Infallible;
-    fn decode_bytes(self, input: &[u8], _: RepresentationIdentifier) -> Result<Raw, Infallible> {
-        Ok(Raw([&ENCAPSULATION, input].concat().into()))
+    fn decode_bytes(
+        self,
+        input: &[u8],
+        _: RepresentationIdentifier,
+    ) -> Result<SerializedMessage, Infallible> {
+        Ok(SerializedMessage([&ENCAPSULATION, input].concat().into()))
     }
 }

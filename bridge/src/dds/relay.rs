@@ -1,7 +1,7 @@
 //! The readers and writers of topics that clients on TCP use, besides the fleet's, and the topics of ROS nodes.
 
 use super::entities::{EndpointError, EntityFactory, RawReader};
-use super::link::RosLink;
+use super::link::DdsQueues;
 use super::newest::NewestSamples;
 use super::remote::{ReaderQos, RemoteEndpoints};
 use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
@@ -47,7 +47,7 @@ impl Drop for RelayReader {
 pub struct TopicRelay {
     participant: DomainParticipant,
     factory: EntityFactory,
-    link: Arc<RosLink>,
+    link: Arc<DdsQueues>,
     readers: BTreeMap<Arc<str>, RelayReader>,
     writers: BTreeMap<Arc<str>, TopicWriter>,
     /// Every topic received since the start, with the newest message of each of its writers.
@@ -60,7 +60,7 @@ pub struct TopicRelay {
 
 impl TopicRelay {
     /// Creates the relay without topics.
-    pub fn new(participant: &DomainParticipant, factory: EntityFactory, link: Arc<RosLink>) -> Self {
+    pub fn new(participant: &DomainParticipant, factory: EntityFactory, link: Arc<DdsQueues>) -> Self {
         Self {
             participant: participant.clone(),
             remote: RemoteEndpoints::new(participant.guid(), factory.namespace()),
@@ -252,7 +252,7 @@ struct Reception {
     own: GUID,
     of_other_type: Rc<RefCell<BTreeSet<GUID>>>,
     newest: NewestSamples,
-    link: Arc<RosLink>,
+    link: Arc<DdsQueues>,
     received: Rc<Cell<u64>>,
 }
 

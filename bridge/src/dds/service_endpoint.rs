@@ -1,7 +1,7 @@
 //! Readers and writers of one service on DDS: a server's or a client's, with the requests and replies that wait.
 
 use super::entities::{RawReader, RawWriter, dds_type};
-use super::raw::Raw;
+use super::raw::SerializedMessage;
 use super::service_identity::{self as identity, RequestNumber};
 use crate::relay::{IDENTIFIED_BYTES_MAX, RosRequestId};
 use msg::Monotonic;
@@ -104,7 +104,7 @@ impl Server {
         let options = WriteOptionsBuilder::new().source_timestamp(Timestamp::now());
         let options = options.related_sample_identity_opt(beside).build();
         // The write fails only if the requester reads none of its replies.
-        let _ = self.endpoint.writer.write_with_options(Raw(payload), options);
+        let _ = self.endpoint.writer.write_with_options(SerializedMessage(payload), options);
     }
 
     /// Sends the held replies whose reader is found, and drops those that have waited too long.
@@ -167,7 +167,7 @@ impl Client {
             (payload, options.related_sample_identity_opt(named))
         };
         // A request that cannot be written gets no response: the call fails when its time is over.
-        if let Ok(sample) = writer.write_with_options(Raw(payload), options.build()) {
+        if let Ok(sample) = writer.write_with_options(SerializedMessage(payload), options.build()) {
             let request = match is_cyclone {
                 true => RequestNumber::InPayload(number),
                 false => RequestNumber::Sample(sample.sequence_number.into()),

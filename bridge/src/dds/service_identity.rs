@@ -4,7 +4,7 @@
 //! related sample identity (DDS-RPC's enhanced mapping). ROS 2's CycloneDDS has it in the payload, before the fields: 8
 //! bytes that the requester chose, and its number of the call (rmw_cyclonedds, serdata.hpp).
 
-use super::raw::Raw;
+use super::raw::SerializedMessage;
 use crate::relay::RosRequestId;
 use ros_messages::cdr::ENCAPSULATION;
 use ros2_client::MessageInfo;
@@ -28,9 +28,9 @@ pub fn participant(id: &RosRequestId) -> &[u8] {
 }
 
 /// Returns the identity of a request and its payload without it; `None` if the payload is too short.
-pub fn read_request(sample: DeserializedCacheChange<Raw>) -> Option<(RosRequestId, Bytes)> {
+pub fn read_request(sample: DeserializedCacheChange<SerializedMessage>) -> Option<(RosRequestId, Bytes)> {
     let (info, writer) = (MessageInfo::from(&sample), sample.writer_guid());
-    let Raw(payload) = sample.into_value();
+    let SerializedMessage(payload) = sample.into_value();
     if is_cyclone(&writer) {
         let (header, payload) = split_header(&payload)?;
         let mut requester = [0; 16];
@@ -83,12 +83,12 @@ pub enum RequestNumber {
 ///
 /// `writer` and `reader`: of our requests and of the responses to them.
 pub fn read_response(
-    sample: DeserializedCacheChange<Raw>,
+    sample: DeserializedCacheChange<SerializedMessage>,
     writer: &GUID,
     reader: &GUID,
 ) -> Option<(RequestNumber, Bytes)> {
     let (info, is_cyclone) = (MessageInfo::from(&sample), is_cyclone(&sample.writer_guid()));
-    let Raw(payload) = sample.into_value();
+    let SerializedMessage(payload) = sample.into_value();
     if is_cyclone {
         let (header, payload) = split_header(&payload)?;
         let number = RequestNumber::InPayload(i64::from_le_bytes(*header.last_chunk()?));

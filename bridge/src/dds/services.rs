@@ -3,7 +3,7 @@
 //! A service has a topic of requests and one of replies, named as ROS 2 does. Requests and responses pass as bytes.
 
 use super::entities::{EndpointError, EntityFactory};
-use super::link::RosLink;
+use super::link::DdsQueues;
 use super::newest::NewestSamples;
 use super::service_endpoint::{Client, SentCalls, Server, ServiceEndpoint, ServiceTopic};
 use super::service_identity as identity;
@@ -26,7 +26,7 @@ const NAMES_MAX: usize = 4096;
 /// All services that the bridge offers to ROS, and those that it calls there.
 pub struct ServiceRelay {
     own: GUID,
-    link: Arc<RosLink>,
+    link: Arc<DdsQueues>,
     servers: BTreeMap<Arc<str>, Server>,
     clients: BTreeMap<Arc<str>, Client>,
     /// Every service since the start, with the newest request of each requester.
@@ -36,7 +36,7 @@ pub struct ServiceRelay {
 
 impl ServiceRelay {
     /// Creates the relay without services. `own`: the identifier of this participant.
-    pub fn new(own: GUID, link: Arc<RosLink>) -> Self {
+    pub fn new(own: GUID, link: Arc<DdsQueues>) -> Self {
         let (servers, clients, names) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         Self { own, link, servers, clients, names, received: Rc::default() }
     }

@@ -1,7 +1,7 @@
 //! The writer of one topic: it knows its readers, and for a latched topic the newest message.
 
 use super::entities::RawWriter;
-use super::raw::Raw;
+use super::raw::SerializedMessage;
 use msg::Monotonic;
 use ros_messages::cdr::Writer;
 use ros2_client::dds::rustdds::bytes::Bytes;
@@ -186,7 +186,7 @@ impl TopicWriter {
     }
 
     fn write_now(&mut self, now: Monotonic, bytes: Bytes) -> WriteOutcome {
-        match self.writer.write(Raw(bytes), Some(Timestamp::now())) {
+        match self.writer.write(SerializedMessage(bytes), Some(Timestamp::now())) {
             Ok(()) => {
                 self.blocked_since = None;
                 WriteOutcome::Written

@@ -89,7 +89,7 @@ impl TopicWriters {
     }
 
     /// Returns whether another participant reads a robot's topic.
-    pub fn is_read(&self, topic: FleetTopic, robot: RobotId) -> bool {
+    pub fn has_subscriber(&self, topic: FleetTopic, robot: RobotId) -> bool {
         let index = self.by_topic[topic as usize].get(robot.index());
         index.is_some_and(|index| self.writers[*index].readers() > 0)
     }

@@ -4,8 +4,8 @@ mod json;
 mod repeated;
 mod static_links;
 
-use super::map_tiles::MapTiles;
-use super::map_updates::MapUpdates;
+use super::changed_area::ChangedAreaFinder;
+use super::changed_tiles::ChangedTileFinder;
 use super::odom_frames::OdomFrames;
 use super::static_transforms::StaticTransformSet;
 use super::table::FleetTopic;
@@ -74,7 +74,7 @@ pub trait TopicSink {
 
 /// How the transforms between a robot's own links are published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LinkTransforms {
+pub enum LinkTransformPolicy {
     /// All of them on `/tf`, because Unity's connector listens to that alone; the fixed ones on `/tf_static` too.
     OnTf,
     /// The moving ones on `/tf`, the fixed ones once on `/tf_static`.
@@ -94,8 +94,8 @@ struct GridValues {
 /// What finds the changes of the merged map: one area for `/map_updates`, tiles for `/merged_map_tiles`.
 #[derive(Default)]
 struct MapChanges {
-    area: MapUpdates,
-    tiles: MapTiles,
+    area: ChangedAreaFinder,
+    tiles: ChangedTileFinder,
 }
 
 /// The covariances of all robots' odometry.
@@ -122,8 +122,8 @@ pub struct FleetPublisher {
     odometry: OdometryCovariances,
     /// The transforms map -> odom if they are repeated; otherwise they are sent with each of SLAM's answers.
     repeated: Option<RepeatedTransforms>,
-    link_transforms: LinkTransforms,
-    /// The transforms that never change; empty if they are [`LinkTransforms::ByRobots`].
+    link_transforms: LinkTransformPolicy,
+    /// The transforms that never change; empty if they are [`LinkTransformPolicy::ByRobots`].
     static_transforms: StaticTransformSet,
     /// Whether each robot's fixed links are in the set.
     has_fixed_links: Vec<bool>,
@@ -134,7 +134,7 @@ pub struct FleetPublisher {
 
 impl FleetPublisher {
     /// Creates the publisher of a fleet.
-    pub fn new(style: NameStyle, robots: &RobotNames, link_transforms: LinkTransforms) -> Self {
+    pub fn new(style: NameStyle, robots: &RobotNames, link_transforms: LinkTransformPolicy) -> Self {
         Self {
             robots: robots.clone(),
             names: FrameNames::new(style, robots),
@@ -162,7 +162,7 @@ impl FleetPublisher {
     /// Repeats the transforms map -> odom from now on, by [`FleetPublisher::repeat_transforms`], dated ahead.
     pub fn set_repetition(&mut self, repetition: Repetition) {
         let robot_count = self.robots.count();
-        let is_external = self.link_transforms == LinkTransforms::ByRobots;
+        let is_external = self.link_transforms == LinkTransformPolicy::ByRobots;
         self.repeated = Some(RepeatedTransforms {
             repeater: CorrectionRepeater::new(repetition, robot_count),
             frames: is_external.then(|| OdomFrames::new(robot_count)),
@@ -303,23 +303,23 @@ impl FleetPublisher {
     fn publish_links(&mut self, robot: RobotId, transforms: &Transforms, sink: &mut impl TopicSink) {
         let names = &self.names;
         match self.link_transforms {
-            LinkTransforms::OnTf => {
+            LinkTransformPolicy::OnTf => {
                 let encode = |to: &mut Writer<'_>| write::transforms(to, names, robot, transforms);
                 sink.send(FleetTopic::Transforms, None, encode);
                 self.publish_fixed_links(robot, transforms, sink);
             }
-            LinkTransforms::Split => {
+            LinkTransformPolicy::Split => {
                 sink.send(FleetTopic::Transforms, None, |to| {
                     write::some_transforms(to, names, &[(robot, transforms)], |link| !link.is_fixed());
                 });
                 self.publish_fixed_links(robot, transforms, sink);
             }
-            LinkTransforms::ByRobots => {}
+            LinkTransformPolicy::ByRobots => {}
         }
     }
 
     fn publish_correction(&mut self, robot: RobotId, correction: &Correction, sink: &mut impl TopicSink) {
-        if self.link_transforms == LinkTransforms::ByRobots {
+        if self.link_transforms == LinkTransformPolicy::ByRobots {
             // Nobody else may say the time there.
             self.now = self.now.max(correction.header.stamp);
         }

@@ -40,6 +40,8 @@ const UPKEEP_PERIOD: Duration = Duration::from_millis(500);
 const GATHER_PERIOD: Duration = Duration::from_millis(2);
 /// Bytes read at a time.
 const READ_BYTES: usize = 16 << 10;
+/// Bytes of a request read at a time.
+const HEAD_READ_BYTES: usize = 4096;
 /// Messages of one client that are handled before other clients get their turn.
 const MESSAGES_PER_TURN: usize = 64;
 /// What the server can do beside subscriptions, in the protocol's words.
@@ -152,7 +154,7 @@ async fn read_request(
             Err(error) => return Ok(Err(error)),
         }
         stream.ready(Interest::READABLE).await?;
-        let mut buffer = [0; 4096];
+        let mut buffer = [0; HEAD_READ_BYTES];
         let space = buffer.len().min(HEAD_BYTES_MAX - received.len());
         match stream.try_read(&mut buffer[..space]) {
             Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),

@@ -1,7 +1,7 @@
 //! One connected client, with its subscriptions, its publications and the frames that wait for it.
 
 use super::buffers::{BufferPool, SharedFrame};
-use super::link::{LinkRate, LiveDelay, SEND_BUFFER_FIRST};
+use super::link::{ConnectionRate, LiveDelay, SEND_BUFFER_FIRST};
 use super::outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
 use super::topics::TopicId;
 use msg::Monotonic;
@@ -129,7 +129,7 @@ pub struct Client {
     /// Frames that wait for the client.
     pub outgoing: OutgoingQueue,
     /// The measured rate of the connection.
-    pub link: LinkRate,
+    pub link: ConnectionRate,
     /// The age of live messages when they leave.
     pub live_delay: LiveDelay,
     /// What the kernel may hold for the connection, bytes.
@@ -170,7 +170,7 @@ impl Client {
             publications: Vec::new(),
             expected: None,
             outgoing,
-            link: LinkRate::default(),
+            link: ConnectionRate::default(),
             live_delay: LiveDelay::default(),
             send_buffer: SEND_BUFFER_FIRST,
             live_subscriptions: 0,
@@ -223,7 +223,7 @@ impl Client {
             return;
         }
         let budget = match self.live_subscriptions {
-            0 => LinkRate::budget_without_live_topics(self.subscribed_at, now),
+            0 => ConnectionRate::budget_without_live_topics(self.subscribed_at, now),
             _ => self.link.bulk_budget(now),
         };
         self.outgoing.set_link(now, budget, self.is_blocked || self.link.is_slow());

@@ -15,12 +15,16 @@ const BULK_DELAY_MAX: Duration = Duration::from_millis(200);
 const FIRST_BULK_BYTES: usize = 24 << 10;
 /// Bulk frames leave so many times the time of their sending to others.
 const BULK_PAUSES: f64 = 3.0;
+/// Times that are computed from a rate end here, seconds: the rate may be next to nothing.
+const RATE_TIME_MAX_S: f64 = 60.0;
 /// A bulk frame that cannot be made smaller is tried although the connection was slow when measured so long ago ...
 const BULK_RETRY: Duration = Duration::from_secs(60);
 /// ... or sooner, if it was measured slow once or twice: a client's pause looks the same.
 const BULK_RETRY_FIRST: Duration = Duration::from_secs(5);
 /// Rates differ by less than this while the connection stays as slow as it is.
 const AGREEING_RATIO: f64 = 3.0;
+/// [`BULK_RETRY_FIRST`] is doubled so many times at most; [`BULK_RETRY`] ends it before.
+const DOUBLINGS_MAX: u32 = 8;
 /// A burst that was taken at once shows that a connection carries this many times as much in [`BULK_DELAY_MAX`].
 const BURST_GAIN: f64 = 4.0;
 /// Bytes taken while frames waited that show a higher rate, however short the time: more than a burst of
@@ -107,7 +111,7 @@ impl BulkBudget {
 
 /// The rate at which a connection takes bytes, measured while frames wait for it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LinkRate {
+pub struct ConnectionRate {
     /// Bytes per second and when they were measured; `None` while nothing waited for long.
     measured: Option<(f64, Monotonic)>,
     /// Measurements in a row of about the same rate.
@@ -120,7 +124,7 @@ pub struct LinkRate {
     grown: usize,
 }
 
-impl LinkRate {
+impl ConnectionRate {
     /// Records a write: the connection took `bytes`, and `is_blocked` says whether frames wait still.
     ///
     /// More bytes than the kernel can hold, taken at once, show that the connection passes them on.
@@ -170,7 +174,8 @@ impl LinkRate {
     /// Records that so many bytes of bulk frames were begun.
     pub fn record_bulk(&mut self, bytes: usize, now: Monotonic) {
         if let Some(rate) = self.bytes_per_s() {
-            self.bulk_due = now + Duration::from_secs_f64((BULK_PAUSES * bytes as f64 / rate).min(60.0));
+            self.bulk_due =
+                now + Duration::from_secs_f64((BULK_PAUSES * bytes as f64 / rate).min(RATE_TIME_MAX_S));
         }
     }
 
@@ -188,7 +193,7 @@ impl LinkRate {
         if now < self.bulk_due {
             return BulkBudget::NONE;
         }
-        let valid = BULK_RETRY_FIRST.saturating_mul(1 << self.agreeing.min(8)).min(BULK_RETRY);
+        let valid = BULK_RETRY_FIRST.saturating_mul(1 << self.agreeing.min(DOUBLINGS_MAX)).min(BULK_RETRY);
         let is_old = now.since(at) >= valid.as_nanos() as u64;
         let bytes = (rate * BULK_DELAY_MAX.as_secs_f64()) as usize;
         // An old low rate may have been a pause of the client's.
@@ -211,7 +216,7 @@ impl LinkRate {
     pub fn kernel_delay(&self) -> Duration {
         match (self.waiting, self.measured) {
             (Some(_), Some((rate, _))) if rate > 0.0 => {
-                Duration::from_secs_f64((2.0 * self.send_buffer_bytes() as f64 / rate).min(60.0))
+                Duration::from_secs_f64((2.0 * self.send_buffer_bytes() as f64 / rate).min(RATE_TIME_MAX_S))
             }
             _ => Duration::ZERO,
         }
@@ -241,10 +246,10 @@ impl LinkRate {
 /// The longest delay of live messages lately: their wait in the bridge and in the kernel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LiveDelay {
-    /// Since when `now` counts.
+    /// Since when `longest` counts.
     since: Monotonic,
-    now: Duration,
-    before: Duration,
+    longest: Duration,
+    previous_longest: Duration,
 }
 
 impl LiveDelay {
@@ -253,14 +258,14 @@ impl LiveDelay {
         let period = DELAY_PERIOD.as_nanos() as u64;
         let elapsed = now.since(self.since);
         if elapsed >= period {
-            self.before = if elapsed < 2 * period { self.now } else { Duration::ZERO };
-            (self.since, self.now) = (now, Duration::ZERO);
+            self.previous_longest = if elapsed < 2 * period { self.longest } else { Duration::ZERO };
+            (self.since, self.longest) = (now, Duration::ZERO);
         }
-        self.now = self.now.max(delay);
+        self.longest = self.longest.max(delay);
     }
 
     /// Returns the longest delay of the last second or two.
     pub fn longest(&self) -> Duration {
-        self.now.max(self.before)
+        self.longest.max(self.previous_longest)
     }
 }

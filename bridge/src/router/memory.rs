@@ -14,7 +14,7 @@ const RELEASE_PERIOD: Duration = Duration::from_secs(5);
 ///
 /// Bytes of waiting frames are counted now and then: between two counts they grow by the frames that are created.
 #[derive(Debug)]
-pub struct ClientMemory {
+pub struct ClientByteBudget {
     limit: usize,
     /// Bytes of clients' input buffers that have grown.
     input: usize,
@@ -27,7 +27,7 @@ pub struct ClientMemory {
     released: Monotonic,
 }
 
-impl ClientMemory {
+impl ClientByteBudget {
     /// Creates an account of at most `limit` bytes.
     pub fn new(limit: usize) -> Self {
         Self { limit, input: 0, counted: 0, created: 0, frames: Vec::new(), released: Monotonic::default() }

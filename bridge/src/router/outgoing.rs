@@ -115,7 +115,7 @@ pub struct OutgoingQueue {
     /// In the order in which they are written: by age; while the connection is slow, by urgency and then by age.
     frames: VecDeque<WaitingFrame>,
     /// The number of messages in `frames`, by topic.
-    depths: Vec<u32>,
+    waiting_by_topic: Vec<u32>,
     notices: usize,
     reply_bytes: usize,
     topic_bytes: usize,
@@ -141,7 +141,7 @@ impl OutgoingQueue {
         Self {
             writing: None,
             frames: VecDeque::with_capacity(FRAMES_PER_WRITE),
-            depths: Vec::new(),
+            waiting_by_topic: Vec::new(),
             notices: 0,
             reply_bytes: 0,
             topic_bytes: 0,
@@ -179,7 +179,7 @@ impl OutgoingQueue {
             FrameKind::Reply => self.reply_bytes > 0 && self.reply_bytes + bytes > REPLY_BYTES_MAX,
             FrameKind::Notice => self.notices >= NOTICES_MAX,
             FrameKind::Topic { id, depth, counted, .. } => {
-                let waiting = self.depths.get(id).copied().unwrap_or(0) as usize;
+                let waiting = self.waiting_by_topic.get(id).copied().unwrap_or(0) as usize;
                 waiting >= depth || (counted && self.topic_bytes + bytes > self.topic_bytes_max)
             }
         }
@@ -237,10 +237,10 @@ impl OutgoingQueue {
     }
 
     fn waiting_of(&mut self, topic: usize) -> usize {
-        if self.depths.len() <= topic {
-            self.depths.resize(topic + 1, 0);
+        if self.waiting_by_topic.len() <= topic {
+            self.waiting_by_topic.resize(topic + 1, 0);
         }
-        self.depths[topic] as usize
+        self.waiting_by_topic[topic] as usize
     }
 
     fn add_to_totals(&mut self, kind: FrameKind, bytes: usize) {
@@ -248,7 +248,7 @@ impl OutgoingQueue {
             FrameKind::Reply => self.reply_bytes += bytes,
             FrameKind::Notice => self.notices += 1,
             FrameKind::Topic { id, counted, .. } => {
-                if let Some(depth) = self.depths.get_mut(id) {
+                if let Some(depth) = self.waiting_by_topic.get_mut(id) {
                     *depth += 1;
                 }
                 if counted {
@@ -264,7 +264,7 @@ impl OutgoingQueue {
             FrameKind::Reply => self.reply_bytes = self.reply_bytes.saturating_sub(bytes),
             FrameKind::Notice => self.notices = self.notices.saturating_sub(1),
             FrameKind::Topic { id, counted, .. } => {
-                if let Some(depth) = self.depths.get_mut(id) {
+                if let Some(depth) = self.waiting_by_topic.get_mut(id) {
                     *depth = depth.saturating_sub(1);
                 }
                 if counted {

@@ -1,6 +1,6 @@
 //! The thresholds that an alignment must pass.
 
-use super::{Alignment, Place, SMALL_OVERLAP_FACTOR, SMALL_OVERLAP_SHARE, WALLS_ROUNDING_M};
+use super::{Alignment, RefinedCandidate, SMALL_OVERLAP_FACTOR, SMALL_OVERLAP_SHARE, WALLS_ROUNDING_M};
 use crate::config::AlignConfig;
 use msg::AlignmentRefusal;
 
@@ -8,7 +8,7 @@ use msg::AlignmentRefusal;
 /// places last. `walls_m` is the length of walls that are in both maps, of both together.
 pub(super) fn refusal_of(
     found: &Alignment,
-    place: &Place,
+    place: &RefinedCandidate,
     walls_m: f64,
     config: &AlignConfig,
 ) -> Option<AlignmentRefusal> {

@@ -2,7 +2,7 @@
 
 use super::compose::{PlacedSubmap, compose};
 use super::estimate::{RobotEstimate, TOLERANCE_M, distance_at_m};
-use super::submaps::{SubmapGeneration, SubmapStore};
+use super::submaps::{SubmapSource, SubmapStore};
 use msg::{Grid, Pose2};
 use std::sync::Arc;
 
@@ -75,7 +75,7 @@ impl Robot {
     }
 
     /// Empties the submaps for those of a restarted SLAM, which continues in the same frame.
-    pub fn restart(&mut self, generation: SubmapGeneration) {
+    pub fn restart(&mut self, generation: SubmapSource) {
         self.submaps.restart(Some(generation));
         self.estimate.reset_to(self.estimate.transform());
         self.redrawn = None;

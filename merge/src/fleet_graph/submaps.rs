@@ -12,7 +12,7 @@ use std::sync::Arc;
 const UNKNOWN_LINK_SIGMAS: [f64; 2] = [0.5, 0.2];
 
 /// Incarnation of a robot's SLAM process, and generation of its submaps within that.
-pub(crate) type SubmapGeneration = (u64, u32);
+pub(crate) type SubmapSource = (u64, u32);
 
 /// The newest version of a submap.
 #[derive(Clone, Debug)]
@@ -32,7 +32,7 @@ pub(crate) struct StoredSubmap {
 /// All submaps of one robot, where they lie in the robot's own map, and how its SLAM links them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SubmapStore {
-    generation: Option<SubmapGeneration>,
+    generation: Option<SubmapSource>,
     submaps: Vec<Option<StoredSubmap>>,
     version: u64,
     poses: Vec<Pose2>,
@@ -42,17 +42,17 @@ pub(crate) struct SubmapStore {
 
 impl SubmapStore {
     /// Empties the store for submaps of another generation.
-    pub fn restart(&mut self, generation: Option<SubmapGeneration>) {
+    pub fn restart(&mut self, generation: Option<SubmapSource>) {
         *self = Self { generation, version: self.version + 1, ..Self::default() };
     }
 
     /// Sets the generation of the first submaps.
-    pub fn set_generation(&mut self, generation: SubmapGeneration) {
+    pub fn set_generation(&mut self, generation: SubmapSource) {
         self.generation = Some(generation);
     }
 
     /// Returns the generation of these submaps; `None` before the first message.
-    pub fn generation(&self) -> Option<SubmapGeneration> {
+    pub fn generation(&self) -> Option<SubmapSource> {
         self.generation
     }
 

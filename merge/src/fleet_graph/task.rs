@@ -4,21 +4,21 @@ use super::alignment::{AlignJob, CheckJob, MapsAligned, MapsChecked};
 use super::closures::{MatchJob, Matched};
 use super::joint::{JointProblem, JointSolution};
 use super::robot::{RedrawJob, Redrawn};
-use super::submaps::SubmapGeneration;
+use super::submaps::SubmapSource;
 use posegraph::SolveError;
 
 /// One task. See [`FleetPoseGraph::next_task`](super::FleetPoseGraph::next_task).
 #[derive(Debug)]
 pub struct Task {
     /// Generations of the submaps that it uses: a result for other generations is dropped.
-    pub(super) generations: Vec<Option<SubmapGeneration>>,
+    pub(super) generations: Vec<Option<SubmapSource>>,
     pub(super) job: Job,
 }
 
 /// Result of a [`Task`]. See [`FleetPoseGraph::apply_outcome`](super::FleetPoseGraph::apply_outcome).
 #[derive(Debug)]
 pub struct Outcome {
-    pub(super) generations: Vec<Option<SubmapGeneration>>,
+    pub(super) generations: Vec<Option<SubmapSource>>,
     pub(super) result: JobResult,
 }
 

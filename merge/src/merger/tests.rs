@@ -1,5 +1,7 @@
 //! Properties that hold whatever the robots' maps look like.
 
+mod peers;
+
 use super::*;
 use core::f64::consts::FRAC_PI_2;
 use msg::grid::{Occupancy, UNKNOWN, occupancy};

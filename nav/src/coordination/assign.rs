@@ -18,6 +18,10 @@ const STOP_S: f64 = 0.7;
 const SAME_GOAL_M: f64 = 0.5;
 /// Factor of the most by the least time expected, for a fleet that has just begun.
 const ESTIMATE_FACTOR: f64 = 3.0;
+/// Time expected at which half of that factor is left, seconds: what is still unknown then is a smaller share.
+const ESTIMATE_HALF_S: f64 = 600.0;
+/// Headings that differ by less are one, radians.
+const SAME_HEADING_RAD: f64 = 1e-3;
 
 impl FleetCoordinator {
     /// Assigns viewpoints to robots as tours, and sets the robots' goals to the first of each.
@@ -43,7 +47,7 @@ impl FleetCoordinator {
             let pose = robot.map_from_base.unwrap_or_default();
             self.goals[robot.robot.index()] = Some(self.goal_at(&viewpoint, pose, expected_s));
         }
-        let factor = 1.0 + (ESTIMATE_FACTOR - 1.0) / (1.0 + latest_s / 600.0);
+        let factor = 1.0 + (ESTIMATE_FACTOR - 1.0) / (1.0 + latest_s / ESTIMATE_HALF_S);
         self.estimate = Some(TimeEstimate { least_s: latest_s, most_s: latest_s * factor });
         for slot in idle {
             self.follow(input, slot, &mut assigned);
@@ -158,7 +162,7 @@ impl FleetCoordinator {
         let heading = |i: usize| wrap_angle(first + (last - first) * i as f64 / steps as f64);
         let headings_rad = if self.config.sees_all_around() {
             Vec::new()
-        } else if (last - first).abs() < 1e-3 {
+        } else if (last - first).abs() < SAME_HEADING_RAD {
             vec![wrap_angle(first)]
         } else {
             (0..=steps).map(heading).collect()

@@ -32,6 +32,35 @@ struct ExploredMap {
 }
 
 /// Exploration of a fleet by a [`FleetNavigator`].
+///
+/// ```
+/// use msg::{Pose2, RobotId, Stamp};
+/// use nav::coordination::CoordinationPhase;
+/// use nav::{
+///     CoordinationConfig, FleetExploration, FleetNavigator, MapView, NavigatedRobot, NavigationInput, NavigatorConfig,
+///     RobotObservation,
+/// };
+///
+/// // 4 m by 4 m: the left half is free, the right half is unknown.
+/// let cells: Vec<i8> = (0..6400).map(|i| if i % 80 < 40 { 0 } else { -1 }).collect();
+/// let pose = Pose2::new(1.0, 2.0, 0.0);
+/// let observation = RobotObservation {
+///     robot: RobotId::new(1).unwrap(),
+///     map: MapView::from_percent(Pose2::IDENTITY, 0.05, (80, 80), &cells),
+///     in_merged_map: true,
+///     map_from_base: Some(pose),
+///     scan: None,
+/// };
+/// let robots = [NavigatedRobot { observation, odom_from_base: Some(pose), map_from_robot_map: None, certainty: None }];
+/// let input = NavigationInput { stamp: Stamp(0), robots: &robots, exclusion_zones: &[] };
+///
+/// let mut exploration = FleetExploration::new(CoordinationConfig::default());
+/// let mut navigator = FleetNavigator::new(NavigatorConfig::default());
+/// // No robot is silent: all have sent something lately.
+/// let phase = exploration.step(&mut navigator, &input, &|_| false);
+/// assert_eq!(phase, CoordinationPhase::Exploring);
+/// assert_eq!(navigator.robots().count(), 1, "the robot has a goal from where it sees unknown space");
+/// ```
 #[derive(Clone, Debug)]
 pub struct FleetExploration {
     config: CoordinationConfig,

@@ -22,6 +22,8 @@ pub(super) const AT_GOAL_M: f64 = 0.25;
 const FOLLOW_M: [f64; 2] = [1.0, 2.5];
 /// Smallest area for which a second robot follows, square metres: about what a door may lead to.
 const FOLLOW_GAIN_MIN_M2: f64 = 1.5;
+/// Every so many cells are looked at as a place to follow to: enough of those within [`FOLLOW_M`], and no row is left out.
+const FOLLOW_CELL_STEP: usize = 7;
 
 /// Buffers of a plan, kept for the next one.
 #[derive(Clone, Debug, Default)]
@@ -198,7 +200,7 @@ impl FleetCoordinator {
         let cost = |cell: &usize| buffers.robot_costs[slot][buffers.coarse.square_of(*cell)];
         let clearance_min_m = self.clearance_min_m();
         let place = (0..self.map.cell_count())
-            .step_by(7)
+            .step_by(FOLLOW_CELL_STEP)
             .filter(|cell| {
                 self.map.clearance_m(*cell) >= clearance_min_m && is_near(self.map.cell_centre_m(*cell))
             })

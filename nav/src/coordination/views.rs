@@ -15,6 +15,8 @@ pub(super) const RAYS: usize = 60;
 const LATTICE_CELLS: i64 = 8;
 /// Rays by which a robot's heading may differ from the one it was sent: navigation accepts 0.1 rad, a ray is 0.105 rad.
 const HEADING_TOLERANCE_RAYS: usize = 1;
+/// Rays by which a turn of the sensor is lengthened until it shows enough: 30 degrees.
+const SWEEP_STEP_RAYS: usize = 5;
 /// The two cells beside a diagonal step into unknown space: at a corner of walls one of them is occupied.
 const OPEN_SIDES: [(i64, i64); 2] = [(1, 0), (0, 1)];
 
@@ -344,10 +346,10 @@ fn sweep(gains: &Gains, config: &CoordinationConfig) -> (f64, f64) {
             .map(|first| (sum_of(first, count), first))
             .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
         let (gain, first) = best.unwrap_or((0.0, 0));
-        if gain >= config.sweep_share * total || count + 5 > RAYS {
+        if gain >= config.sweep_share * total || count + SWEEP_STEP_RAYS > RAYS {
             let look = first as f64 + (view as f64 - 1.0) / 2.0;
             return (look * ray_rad, (count - view) as f64 * ray_rad);
         }
-        count += 5;
+        count += SWEEP_STEP_RAYS;
     }
 }

@@ -30,6 +30,8 @@ const EXPANSIONS_MAX: usize = 40_000;
 /// Steps for which a robot that no way leads clear of the others takes them to stand, and to give way meanwhile: a turn
 /// and a step aside.
 const EXEMPT_STEPS: usize = 16;
+/// Steps beyond those of its turn for which a robot may stay in its first cell without waiting: it is late by rounding.
+const LATE_STEPS: usize = 2;
 /// Cost of waiting for a step: that of an open straight step.
 const WAIT_COST: u32 = STRAIGHT_COST;
 /// Cost of waiting for a step on the way of a robot with priority: a robot that steps aside early is not in its way
@@ -327,7 +329,7 @@ impl TimedRoute {
         let Some(first_move) = cells.iter().position(|cell| *cell != cells[0]) else { return waits_at(0) };
         // A turn at the start takes time, and is no waiting.
         let direction = (0..8).find(|d| map.neighbour(cells[0], *d) == Some(cells[first_move]));
-        if direction.is_none_or(|direction| first_move > self.turn_steps[direction] + 2) {
+        if direction.is_none_or(|direction| first_move > self.turn_steps[direction] + LATE_STEPS) {
             return waits_at(0);
         }
         let step = |i: usize| {

@@ -27,7 +27,7 @@ const RECORD: Program = Worker(Role::Record);
 
 /// Largest batch of messages of a map: with the pause between two batches, 26 MB a second.
 pub const MAP_MESSAGES_MAX: usize = 4;
-/// Readers of an ordinary channel: the table names at most seven; the bridge's second thread, `status` and tools are the rest.
+/// Readers of an ordinary channel: the table names at most eight; the bridge's second thread, `status` and tools are the rest.
 const READERS_MAX: usize = 12;
 /// Readers of submaps, whose messages are large: merge and one tool.
 const SUBMAP_READERS_MAX: usize = 2;

@@ -4,7 +4,9 @@
 use super::{BORROWED_MAX, Listener, NODES_MAX, Participant, Shared, failed, service_name};
 use crate::channel::{Channel, Direction, MAP_MESSAGES_MAX};
 use crate::clock::now;
-use crate::ports::{ChannelError, Gaps, MAP_REQUEST_PERIOD, ReadMapPort, Stamper, WriteMapPort};
+use crate::ports::{
+    ChannelError, MAP_REQUEST_PERIOD, MessageSequencer, ReadMapPort, ReceiveCounts, WriteMapPort,
+};
 use bytemuck::TransparentWrapper;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
@@ -34,7 +36,7 @@ impl Participant {
             .map_err(failed("cannot write channel", &channel.name))?;
         let listener = self.ask_event(channel)?.listener_builder().create();
         let requests = Listener::new(listener.map_err(failed("cannot be asked on", &channel.name))?);
-        let (stamper, notifier) = (Stamper::new(self.run), self.notifier(channel)?);
+        let (stamper, notifier) = (MessageSequencer::new(self.run), self.notifier(channel)?);
         Ok(MapWriter { publisher, stamper, notifier, requests, outgoing: PatchSender::default(), bytes: 0 })
     }
 
@@ -49,7 +51,7 @@ impl Participant {
             .map_err(failed("cannot read channel", &channel.name))?;
         let ask = self.ask_event(channel)?.notifier_builder().create();
         let ask = ask.map_err(failed("cannot ask on", &channel.name))?;
-        let (gaps, incoming) = (Gaps::default(), PatchReceiver::default());
+        let (gaps, incoming) = (ReceiveCounts::default(), PatchReceiver::default());
         Ok(MapReader { subscriber, ask, asked: Monotonic(0), gaps, incoming })
     }
 
@@ -89,7 +91,7 @@ type MapService = PortFactory<ipc::Service, [Shared<MapTile>], Shared<PatchHeade
 /// Writes one map's channel.
 pub struct MapWriter {
     publisher: Publisher<ipc::Service, [Shared<MapTile>], Shared<PatchHeader>>,
-    stamper: Stamper,
+    stamper: MessageSequencer,
     notifier: Option<Notifier<ipc::Service>>,
     requests: Listener,
     outgoing: PatchSender,
@@ -146,7 +148,7 @@ pub struct MapReader {
     subscriber: Subscriber<ipc::Service, [Shared<MapTile>], Shared<PatchHeader>>,
     ask: Notifier<ipc::Service>,
     asked: Monotonic,
-    gaps: Gaps,
+    gaps: ReceiveCounts,
     incoming: PatchReceiver,
 }
 
@@ -169,7 +171,7 @@ impl ReadMapPort for MapReader {
         self.incoming.map()
     }
 
-    fn gaps(&self) -> Gaps {
+    fn gaps(&self) -> ReceiveCounts {
         self.gaps
     }
 }

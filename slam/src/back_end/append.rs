@@ -20,7 +20,7 @@ impl BackEnd {
         node.id = self.nodes.len() as u32;
         if let Some(anchor) = self.location.next_pose.take() {
             self.doubts.unmeasured_s = 0.0;
-            return self.add_anchored_node(node, anchor);
+            return self.add_node_at_initial_pose(node, anchor);
         }
         let Some(previous) = self.nodes.last() else {
             self.graph.add_node(node.local_from_base);

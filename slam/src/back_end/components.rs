@@ -4,7 +4,7 @@
 //! At a node that contradicts those before it, odometry's edge becomes an odometry break: it keeps the order of
 //! the nodes and measures nothing. The component after it is neither drawn nor given out, and the robot
 //! reads as lost, until a closure or a search of the whole map connects it. If that closure is taken
-//! back, the component is disconnected again.
+//! back, the component is untied again.
 //!
 //! The map is the largest component, so a robot that never returns ends up with a new map.
 
@@ -24,7 +24,7 @@ use posegraph::information_from_sigmas;
 const NODES_MIN: u32 = 5;
 
 /// Nodes of the map that a node with an unverified edge is compared with.
-const WITNESSES: usize = 8;
+const COMPARED_NODES: usize = 8;
 /// If more than this share of the compared points is contradicted, and this many points, the edge is broken.
 const BREAK_SHARE: f32 = 0.3;
 const BREAK_POINTS_MIN: usize = 60;
@@ -67,7 +67,7 @@ impl BackEnd {
             path_m < STRAIGHT_M
         });
         let not_drifted = not_drifted.last().unwrap_or(unverified_edge);
-        let looks_at = |id: u32| poses[id as usize].apply(self.nodes[id as usize].cloud.middle());
+        let looks_at = |id: u32| poses[id as usize].apply(self.nodes[id as usize].cloud.centroid_m());
         let [x, y] = looks_at(id);
         let mut near: Vec<(f64, u32)> = (0..unverified_edge)
             .filter(|old| *old >= not_drifted || sure(&before[*old as usize]))
@@ -81,7 +81,7 @@ impl BackEnd {
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let mut agreement = Agreement::default();
-        for (_, old) in near.into_iter().take(WITNESSES) {
+        for (_, old) in near.into_iter().take(COMPARED_NODES) {
             let old_from_new = poses[old as usize].between(poses[id as usize]);
             agreement += Agreement::both_ways(&self.nodes[old as usize].cloud, &node.cloud, old_from_new);
         }
@@ -108,7 +108,7 @@ impl BackEnd {
     }
 
     /// Whether the newest node is part of the map.
-    pub(super) fn newest_in_map(&self) -> bool {
+    pub(super) fn newest_is_tied(&self) -> bool {
         self.nodes.last().is_none_or(Node::is_tied)
     }
 
@@ -156,7 +156,7 @@ impl BackEnd {
         let local_from_node = newest.local_from_base;
         let relocalization = relocalizer.add_node(newest, map);
         self.location.relocalization = relocalizer.counts();
-        let RelocalizationOutcome::Found(map_from_local) = relocalization else { return };
+        let RelocalizationOutcome::Found { map_from_local } = relocalization else { return };
         self.location.component_relocalizer = None;
         let map_from_node = map_from_local * local_from_node;
         let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
@@ -165,9 +165,9 @@ impl BackEnd {
             return;
         }
         self.add_closures(&[ClosureCandidate {
-            node: id,
-            candidate,
-            candidate_from_node: self.graph.poses()[candidate as usize].between(map_from_node),
+            newer: id,
+            older: candidate,
+            older_from_newer: self.graph.poses()[candidate as usize].between(map_from_node),
             information: information_from_sigmas(FOUND_M, FOUND_RAD),
             response: self.config.relocalize.response_min,
         }]);
@@ -211,15 +211,15 @@ impl BackEnd {
     /// finds small movements, not half a turn.
     pub(super) fn align_components(&mut self, closure: &ClosureCandidate) {
         let [old, new] =
-            [closure.candidate, closure.node].map(|id| self.nodes[id as usize].disconnected_component);
+            [closure.older, closure.newer].map(|id| self.nodes[id as usize].disconnected_component);
         if old == new {
             return;
         }
         let poses = self.graph.poses();
-        let (a, b) = (poses[closure.candidate as usize], poses[closure.node as usize]);
+        let (a, b) = (poses[closure.older as usize], poses[closure.newer as usize]);
         let (moves, shift) = match new {
-            Some(_) => (new, a * closure.candidate_from_node * b.inverse()),
-            None => (old, b * closure.candidate_from_node.inverse() * a.inverse()),
+            Some(_) => (new, a * closure.older_from_newer * b.inverse()),
+            None => (old, b * closure.older_from_newer.inverse() * a.inverse()),
         };
         for node in self.nodes.iter().filter(|node| node.disconnected_component == moves) {
             self.graph.move_node(node.id, shift);

@@ -11,7 +11,7 @@ use crate::stages::Stage;
 use serde::{Deserialize, Serialize};
 
 /// Older nodes that a node is compared with.
-const WITNESSES: usize = 4;
+const COMPARED_NODES: usize = 4;
 /// Two witnesses are at least this far apart in order.
 const WITNESS_SPREAD: u32 = 3;
 /// Nodes nearer to each other in order than this are of one pass and say the same.
@@ -136,7 +136,7 @@ impl BackEnd {
         }
         let poses = self.graph.poses();
         let here = poses[id as usize];
-        let looks_at = |node: &Node| poses[node.id as usize].apply(node.cloud.middle());
+        let looks_at = |node: &Node| poses[node.id as usize].apply(node.cloud.centroid_m());
         let [x, y] = looks_at(node);
         let others = &self.nodes[..id.saturating_sub(SAME_PASS_NODES) as usize];
         let mut near: Vec<(f64, u32)> = others
@@ -151,12 +151,12 @@ impl BackEnd {
             })
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut witnesses: Vec<u32> = Vec::with_capacity(WITNESSES);
+        let mut witnesses: Vec<u32> = Vec::with_capacity(COMPARED_NODES);
         for (_, other) in near {
             if witnesses.iter().all(|witness| witness.abs_diff(other) >= WITNESS_SPREAD) {
                 witnesses.push(other);
             }
-            if witnesses.len() == WITNESSES {
+            if witnesses.len() == COMPARED_NODES {
                 break;
             }
         }

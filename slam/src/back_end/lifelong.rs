@@ -23,6 +23,8 @@ const SEE_THROUGH_M: f32 = 0.3;
 const COVERING_VIEW_SCALE: f64 = 1.5;
 /// Links of a removed node that its neighbours take over: the best known ones.
 const INHERITED_MAX: usize = 16;
+/// Share of its information that an inherited link keeps where the sum of both covariances cannot be inverted: two like errors.
+const INHERITED_SHARE: f64 = 0.5;
 
 /// What a map that lasts remembers of its nodes.
 #[derive(Default)]
@@ -43,7 +45,7 @@ impl BackEnd {
 
     /// Removes what later nodes contradict or repeat; called after each node in lifelong mode.
     pub(super) fn forget_views(&mut self) {
-        let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_in_map()) else { return };
+        let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_is_tied()) else { return };
         self.count_contradictions(newest);
         self.mark_repeated_views(newest);
         let full = self.nodes.len() >= self.config.lifelong.nodes_max.min(self.config.graph.nodes_max);
@@ -189,7 +191,7 @@ fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
         }
         let (a, b) = (inheritor.min(to), inheritor.max(to));
         let sum = known.try_inverse().zip(information.try_inverse()).and_then(|(p, q)| (p + q).try_inverse());
-        let information = sum.unwrap_or(information * 0.5);
+        let information = sum.unwrap_or(information * INHERITED_SHARE);
         edges.push(Edge {
             a,
             b,

@@ -13,8 +13,12 @@ use posegraph::limit_information;
 /// between what is looked at.
 const VIEWPOINT: f64 = 0.5;
 /// Variances (m², rad²) of a node's pose as seen from the few before it: 10 cm and 55 mrad, what wheels lose over them.
-const SEQUENTIAL: RelativeUncertainty =
-    RelativeUncertainty { position: 0.01, heading: 0.003, bias_m: 0.0, bias_rad: 0.0 };
+const SEQUENTIAL: RelativeUncertainty = RelativeUncertainty {
+    position_variance_m2: 0.01,
+    heading_variance_rad2: 0.003,
+    bias_m: 0.0,
+    bias_rad: 0.0,
+};
 /// An alignment may move the pose by this many standard deviations of what is known,
 const CORRECTION_SIGMAS: f64 = 3.0;
 /// and by what the alignment itself may err, metres and radians; one that moves it farther has found another surface.
@@ -25,7 +29,8 @@ const NEAR_SPREAD: u32 = 3;
 
 /// Whether two scans are so well known to each other that they may be held against each other.
 pub(super) fn is_sure(known: RelativeUncertainty, l: &LinkConfig) -> bool {
-    known.position < l.sigma_max_m.powi(2) && known.heading < l.sigma_max_rad.powi(2)
+    known.position_variance_m2 < l.sigma_max_m.powi(2)
+        && known.heading_variance_rad2 < l.sigma_max_rad.powi(2)
 }
 
 impl BackEnd {
@@ -45,13 +50,13 @@ impl BackEnd {
     pub(super) fn link_near(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) -> usize {
         let l = &self.config.links;
         let here = self.graph.poses()[id as usize];
-        let seen = here.apply(self.nodes[id as usize].cloud.middle());
+        let seen = here.apply(self.nodes[id as usize].cloud.centroid_m());
         let mut near: Vec<(f64, u32)> = (0..self.nodes.len() as u32)
             .filter(|other| other.abs_diff(id) > l.sequential as u32)
             .filter_map(|other| {
                 let known = relative.get(other as usize).copied().flatten()?;
                 let pose = self.graph.poses()[other as usize];
-                let [x, y] = pose.apply(self.nodes[other as usize].cloud.middle());
+                let [x, y] = pose.apply(self.nodes[other as usize].cloud.centroid_m());
                 let apart = (x - seen[0]).hypot(y - seen[1]);
                 (is_sure(known, l) && apart < l.distance_max_m)
                     .then_some((apart + VIEWPOINT * here.distance_m(pose), other))
@@ -88,8 +93,8 @@ impl BackEnd {
         }
         let moved = fit.frame_from_cloud.distance_m(guess);
         let turned = wrap_angle(fit.frame_from_cloud.yaw_rad - guess.yaw_rad).abs();
-        if moved > CORRECTION_SIGMAS * known.position.sqrt() + CORRECTION_M
-            || turned > CORRECTION_SIGMAS * known.heading.sqrt() + CORRECTION_RAD
+        if moved > CORRECTION_SIGMAS * known.position_variance_m2.sqrt() + CORRECTION_M
+            || turned > CORRECTION_SIGMAS * known.heading_variance_rad2.sqrt() + CORRECTION_RAD
         {
             return false;
         }
@@ -116,9 +121,9 @@ impl BackEnd {
         self.graph.edges_of(b).any(|e| e.kind == EdgeKind::Link && e.a == a && e.b == b)
     }
 
-    /// Information that claims no more than the floor allows, and nothing where nothing was seen.
+    /// Information that claims no more than the least standard deviations allow, and nothing where nothing was seen.
     pub(super) fn limited(&self, information: Matrix3<f64>) -> Matrix3<f64> {
         let l = &self.config.links;
-        limit_information(information, [l.floor_m, l.floor_rad], UNOBSERVED)
+        limit_information(information, [l.sigma_min_m, l.sigma_min_rad], UNOBSERVED)
     }
 }

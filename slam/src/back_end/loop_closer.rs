@@ -37,7 +37,7 @@ pub(super) struct LoopCloser {
     /// Nodes searched for without success since the last closure.
     pub not_found: VecDeque<u32>,
     /// Nodes from before the last closure, to be searched for once more in the better map.
-    pub again: VecDeque<u32>,
+    pub to_retry: VecDeque<u32>,
     /// Closures that people undid.
     pub rejected_closures: Vec<RejectedClosure>,
     /// Number of active closures.
@@ -52,7 +52,7 @@ impl LoopCloser {
             detector: ClosureDetector::new(config),
             travelled_m: 0.0,
             not_found: VecDeque::with_capacity(NOT_FOUND_MAX),
-            again: VecDeque::with_capacity(NOT_FOUND_MAX),
+            to_retry: VecDeque::with_capacity(NOT_FOUND_MAX),
             rejected_closures: Vec::new(),
             in_force: 0,
             retracted: 0,
@@ -75,8 +75,8 @@ impl LoopCloser {
     /// After a closure: the nodes not found before it are to be searched for once more.
     pub fn retry_not_found(&mut self) {
         while let Some(id) = self.not_found.pop_front() {
-            if self.again.len() < NOT_FOUND_MAX {
-                self.again.push_back(id);
+            if self.to_retry.len() < NOT_FOUND_MAX {
+                self.to_retry.push_back(id);
             }
         }
     }
@@ -100,10 +100,10 @@ impl LoopCloser {
     /// Whether a candidate is a closure that was undone.
     pub fn is_rejected(&self, candidate: &ClosureCandidate) -> bool {
         self.rejected_closures.iter().any(|rejected| {
-            let near = candidate.candidate.abs_diff(rejected.a) <= REJECTED_NODES
-                && candidate.node.abs_diff(rejected.b) <= REJECTED_NODES;
-            let turned = wrap_angle(candidate.candidate_from_node.yaw_rad - rejected.a_from_b.yaw_rad).abs();
-            let apart_m = candidate.candidate_from_node.distance_m(rejected.a_from_b);
+            let near = candidate.older.abs_diff(rejected.a) <= REJECTED_NODES
+                && candidate.newer.abs_diff(rejected.b) <= REJECTED_NODES;
+            let turned = wrap_angle(candidate.older_from_newer.yaw_rad - rejected.a_from_b.yaw_rad).abs();
+            let apart_m = candidate.older_from_newer.distance_m(rejected.a_from_b);
             near && apart_m < REJECTED_M + REJECTED_DRIFT_M && turned < REJECTED_RAD
         })
     }
@@ -111,7 +111,7 @@ impl LoopCloser {
     /// Nodes got other numbers; what is remembered of nodes that are gone is dropped.
     pub fn renumber(&mut self, number: &dyn Fn(u32) -> Option<u32>) {
         self.not_found = self.not_found.iter().filter_map(|id| number(*id)).collect();
-        self.again = self.again.iter().filter_map(|id| number(*id)).collect();
+        self.to_retry = self.to_retry.iter().filter_map(|id| number(*id)).collect();
         self.rejected_closures.retain_mut(|rejected| match (number(rejected.a), number(rejected.b)) {
             (Some(a), Some(b)) => {
                 (rejected.a, rejected.b) = (a, b);

@@ -7,7 +7,9 @@ use crate::front_end::{FrontEndState, TrajectorySample};
 use crate::graph::{EdgeKind, Graph};
 use crate::localizer::Localizer;
 use crate::node::{FrameUncertainty, Node, Revision};
-use crate::relocalize::{MapNodes, PoseEstimate, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
+use crate::relocalize::{
+    LocalFrameEstimate, MapNodes, RelocalizationCounts, RelocalizationOutcome, Relocalizer,
+};
 use msg::{Pose2, SlamMode, Stamp};
 use posegraph::information_from_sigmas;
 
@@ -23,7 +25,7 @@ pub enum InitialPose {
     /// The front end continues where it was: the next node follows from the newest one.
     Continue,
     /// The robot is near this estimate, around which the map is searched.
-    Near(PoseEstimate),
+    Near(LocalFrameEstimate),
     /// The pose is unknown: the whole map is searched.
     Unknown,
 }
@@ -61,7 +63,8 @@ impl BackEnd {
         (0..back.nodes.len() as u32).for_each(|id| back.learn_odometry_noise(id));
         back.update_components();
         back.mapper.restore(&back.nodes, &state.drawn);
-        (back.loop_closer.not_found, back.loop_closer.again) = (state.not_found.into(), state.again.into());
+        (back.loop_closer.not_found, back.loop_closer.to_retry) =
+            (state.not_found.into(), state.to_retry.into());
         (back.loop_closer.travelled_m, back.unsolved, back.loop_closer.rejected_closures) =
             (state.travelled_m, state.unsolved, state.rejected_closures);
         (back.solutions, back.loop_closer.retracted, back.lifelong.retired) =
@@ -111,17 +114,17 @@ impl BackEnd {
         };
         if let (Some(map_from_local), None) = (newest, &self.location.relocalizer) {
             self.location.next_pose =
-                Some(PoseEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD });
+                Some(LocalFrameEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD });
         }
         self.location.localizer = is_fixed.then(|| Localizer::new(self.config.clone()));
-        if is_fixed && self.location.relocalizer.is_none() && !self.newest_in_map() {
+        if is_fixed && self.location.relocalizer.is_none() && !self.newest_is_tied() {
             self.start_relocalization(None);
         }
     }
 
     /// Searches for the robot from now on, near an estimate or everywhere. An empty map begins at the
     /// estimate instead.
-    pub fn start_relocalization(&mut self, estimate: Option<PoseEstimate>) {
+    pub fn start_relocalization(&mut self, estimate: Option<LocalFrameEstimate>) {
         if self.nodes.is_empty() {
             self.location.next_pose = estimate;
             return;
@@ -133,7 +136,8 @@ impl BackEnd {
 
     /// Whether it is known where the robot is.
     pub fn is_located(&self) -> bool {
-        let is_located = self.location.localizer.as_ref().map_or(self.newest_in_map(), Localizer::is_located);
+        let is_located =
+            self.location.localizer.as_ref().map_or(self.newest_is_tied(), Localizer::is_located);
         self.location
             .relocalizer
             .as_ref()
@@ -145,7 +149,7 @@ impl BackEnd {
         match (&self.location.relocalizer, &self.location.localizer) {
             (Some(_), _) => None,
             (None, Some(localizer)) => Some(localizer.newest()?.0),
-            (None, None) => self.graph.poses().last().copied().filter(|_| self.newest_in_map()),
+            (None, None) => self.graph.poses().last().copied().filter(|_| self.newest_is_tied()),
         }
     }
 
@@ -156,12 +160,14 @@ impl BackEnd {
         let relocalization = relocalizer.add_node(node, map);
         let anchor = match relocalization {
             RelocalizationOutcome::NotFound => return,
-            RelocalizationOutcome::Found(map_from_local) => {
-                PoseEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD }
+            RelocalizationOutcome::Found { map_from_local } => {
+                LocalFrameEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD }
             }
-            RelocalizationOutcome::EstimateAccepted(PoseEstimate { map_from_local, sigma_m, sigma_rad }) => {
-                PoseEstimate { map_from_local, sigma_m, sigma_rad }
-            }
+            RelocalizationOutcome::EstimateAccepted(LocalFrameEstimate {
+                map_from_local,
+                sigma_m,
+                sigma_rad,
+            }) => LocalFrameEstimate { map_from_local, sigma_m, sigma_rad },
         };
         self.location.just_located = true;
         self.location.relocalization = relocalizer.counts();
@@ -194,7 +200,7 @@ impl BackEnd {
     }
 
     /// Adds the first node after the robot was located, with an edge from the nearest node of the map.
-    pub(super) fn add_anchored_node(&mut self, node: Node, anchor: PoseEstimate) {
+    pub(super) fn add_node_at_initial_pose(&mut self, node: Node, anchor: LocalFrameEstimate) {
         let map_from_node = anchor.map_from_local * node.local_from_base;
         let nearest = self.nearest_in_map(map_from_node);
         let id = node.id;

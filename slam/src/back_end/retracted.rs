@@ -28,7 +28,7 @@ impl BackEnd {
                 let is_retracted = edge.kind == EdgeKind::Closure && !edge.in_force;
                 is_retracted
                     && !self.loop_closer.was_rejected(edge)
-                    && new.iter().any(|it| self.agrees(edge, [it.candidate, it.node], it.candidate_from_node))
+                    && new.iter().any(|it| self.agrees(edge, [it.older, it.newer], it.older_from_newer))
             })
             .collect();
         for index in restored {
@@ -106,9 +106,9 @@ mod tests {
     /// The `k`-th closure, which says that the ends of 60 steps, 18 m, are this far apart, metres.
     fn closure(k: u32, apart_m: f64) -> ClosureCandidate {
         ClosureCandidate {
-            node: 60 + k,
-            candidate: k,
-            candidate_from_node: Pose2::new(apart_m, 0.0, 0.0),
+            newer: 60 + k,
+            older: k,
+            older_from_newer: Pose2::new(apart_m, 0.0, 0.0),
             information: information_from_sigmas(0.01, 0.003),
             response: 0.8,
         }

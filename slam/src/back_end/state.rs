@@ -26,7 +26,7 @@ pub struct BackEndState {
     /// Nodes searched for in vain since the last closure.
     pub not_found: Vec<u32>,
     /// Nodes from before it that are searched for once more.
-    pub again: Vec<u32>,
+    pub to_retry: Vec<u32>,
     /// Nodes with links to older parts since the last solution.
     pub unsolved: usize,
     /// Solutions so far.
@@ -56,7 +56,7 @@ impl BackEnd {
             edges: self.graph.edges().to_vec(),
             travelled_m: self.loop_closer.travelled_m,
             not_found: self.loop_closer.not_found.iter().copied().collect(),
-            again: self.loop_closer.again.iter().copied().collect(),
+            to_retry: self.loop_closer.to_retry.iter().copied().collect(),
             unsolved: self.unsolved,
             solutions: self.solutions,
             retracted: self.loop_closer.retracted,

@@ -125,7 +125,7 @@ mod tests {
         assert!(pieces(&back)[..20].iter().all(|piece| *piece == Some(0)), "{:?}", pieces(&back));
         assert!(pieces(&back)[20..].iter().all(Option::is_none), "{:?}", pieces(&back));
         assert_eq!((back.covariances_seen_from(), back.disconnected_components()), (20, 1));
-        assert_eq!(back.counts().disconnected, 20);
+        assert_eq!(back.counts().untied, 20);
         let closure = Pose2::new(30.0, 0.0, 0.0);
         let information = information_from_sigmas(0.02, 0.003);
         back.graph.add_edge([10, 40], closure, information, EdgeKind::Closure, [0.0; 2]);

@@ -8,11 +8,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct ClosureCandidate {
     /// The later node, which was searched for.
-    pub node: u32,
+    pub newer: u32,
     /// The earlier node, near which the later one was found.
-    pub candidate: u32,
+    pub older: u32,
     /// Pose of the later node in the frame of the earlier one, as measured.
-    pub candidate_from_node: Pose2,
+    pub older_from_newer: Pose2,
     /// Inverse covariance in the frame of the earlier node, 1/m² and 1/rad².
     #[serde(with = "crate::encoding::matrix")]
     pub information: Matrix3<f64>,

@@ -23,12 +23,13 @@ pub(super) fn is_consistent(
     links: &LinkConfig,
     known: Option<RelativeUncertainty>,
 ) -> bool {
-    let [a, b] = [closure.candidate, closure.node].map(|id| graph.poses()[id as usize]);
+    let [a, b] = [closure.older, closure.newer].map(|id| graph.poses()[id as usize]);
     let drift = [links.drift_m_per_m, links.drift_rad_per_m];
-    let Some(way) = graph.relative_covariance(closure.candidate, closure.node, drift) else { return true };
-    let information = limit_information(closure.information, [links.floor_m, links.floor_rad], UNOBSERVED);
+    let Some(way) = graph.relative_covariance(closure.older, closure.newer, drift) else { return true };
+    let information =
+        limit_information(closure.information, [links.sigma_min_m, links.sigma_min_rad], UNOBSERVED);
     let Some(measured) = information.try_inverse() else { return true };
-    let found = a * closure.candidate_from_node;
+    let found = a * closure.older_from_newer;
     let error = Vector3::new(found.x_m - b.x_m, found.y_m - b.y_m, wrap_angle(found.yaw_rad - b.yaw_rad));
     let RelativeUncertainty { bias_m, bias_rad, .. } = known.unwrap_or_default();
     let bias = Vector3::new(bias_m, bias_m, bias_rad).map(|sigma| sigma * sigma);
@@ -66,9 +67,9 @@ mod tests {
         let links = SlamConfig::default().links;
         // Found in the old aisle, where the path began, instead of 3 m beside it.
         let closure = |y_m: f64| ClosureCandidate {
-            node: 21,
-            candidate: 0,
-            candidate_from_node: Pose2::new(0.0, y_m, core::f64::consts::PI),
+            newer: 21,
+            older: 0,
+            older_from_newer: Pose2::new(0.0, y_m, core::f64::consts::PI),
             information: information_from_sigmas(0.01, 0.003),
             response: 0.9,
         };

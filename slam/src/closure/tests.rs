@@ -1,6 +1,6 @@
 //! A robot that believes to be back in a hall: it is, or it stands in another one that looks much the same.
 
-use super::{ClosureDetector, ClosureSearch, GraphView};
+use super::{ClosureDetector, ClosureSearchResult, GraphView};
 use crate::common::{FULL, Lidar, Noise, Wall, cast, rectangle};
 use crate::config::SlamConfig;
 use crate::graph::Graph;
@@ -71,7 +71,7 @@ impl Passes {
     }
 
     /// Searches for a node of a later pass (from 1), counted from its first; nothing is known about how far it drifted.
-    fn search(&self, detector: &mut ClosureDetector, pass: usize, node: usize) -> ClosureSearch {
+    fn search(&self, detector: &mut ClosureDetector, pass: usize, node: usize) -> ClosureSearchResult {
         // While the robot drives, no node is newer than the one that is searched for.
         let node = pass * (PASS_NODES + BETWEEN_NODES) + node;
         let graph = Graph::from_parts(self.config.graph.clone(), self.poses[..=node].to_vec(), Vec::new());
@@ -86,18 +86,18 @@ fn a_place_is_accepted_when_a_second_search_agrees_and_not_before() {
     let passes = Passes::new(&hall(), &[(hall(), 0.4)]);
     let mut detector = ClosureDetector::new(passes.config.clone());
     assert!(
-        matches!(passes.search(&mut detector, 1, 6), ClosureSearch::Unconfirmed),
+        matches!(passes.search(&mut detector, 1, 6), ClosureSearchResult::Unconfirmed),
         "one search is no proof"
     );
     assert_eq!(detector.counts().accepted, 0);
-    let ClosureSearch::Accepted(closures) = passes.search(&mut detector, 1, 9) else {
+    let ClosureSearchResult::Accepted(closures) = passes.search(&mut detector, 1, 9) else {
         panic!("not accepted: {:?}", detector.counts());
     };
     assert_eq!(closures.len(), 2);
     for closure in closures {
-        let [old, new] = [closure.candidate, closure.node]
-            .map(|id| Passes::pose(id as usize % (PASS_NODES + BETWEEN_NODES)));
-        let error_m = closure.candidate_from_node.distance_m(old.between(new));
+        let [old, new] =
+            [closure.older, closure.newer].map(|id| Passes::pose(id as usize % (PASS_NODES + BETWEEN_NODES)));
+        let error_m = closure.older_from_newer.distance_m(old.between(new));
         assert!(error_m < 0.03, "{error_m} m off");
     }
 }
@@ -109,7 +109,7 @@ fn searches_that_disagree_confirm_nothing() {
     let mut detector = ClosureDetector::new(passes.config.clone());
     for pass in [1, 2] {
         let search = passes.search(&mut detector, pass, 9);
-        assert!(matches!(search, ClosureSearch::Unconfirmed), "pass {pass}: {:?}", detector.counts());
+        assert!(matches!(search, ClosureSearchResult::Unconfirmed), "pass {pass}: {:?}", detector.counts());
     }
     assert_eq!(detector.counts().accepted, 0);
 }
@@ -120,7 +120,7 @@ fn a_hall_of_the_same_walls_that_scans_contradict_is_not_taken_for_the_first() {
     let mut detector = ClosureDetector::new(passes.config.clone());
     for node in 5..PASS_NODES {
         let search = passes.search(&mut detector, 1, node);
-        assert!(matches!(search, ClosureSearch::NotFound), "node {node}: {:?}", detector.counts());
+        assert!(matches!(search, ClosureSearchResult::NotFound), "node {node}: {:?}", detector.counts());
     }
     // The walls alone look right: it is the scans that contradict.
     assert!(detector.counts().contradicted > 0, "{:?}", detector.counts());

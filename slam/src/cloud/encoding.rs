@@ -12,16 +12,16 @@ struct CloudParts<'a> {
     #[serde(with = "plain")]
     points: Cow<'a, [SurfacePoint]>,
     sensor: [f32; 2],
-    middle: [f32; 2],
+    centroid_m: [f32; 2],
     #[serde(with = "plain")]
     seen_cm: Cow<'a, [u16]>,
 }
 
 impl Serialize for Cloud {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let (points, sensor, middle, seen_cm) = self.parts();
+        let (points, sensor, centroid_m, seen_cm) = self.parts();
         let (points, seen_cm) = (Cow::Borrowed(points), Cow::Borrowed(&seen_cm[..]));
-        CloudParts { points, sensor, middle, seen_cm }.serialize(to)
+        CloudParts { points, sensor, centroid_m, seen_cm }.serialize(to)
     }
 }
 
@@ -36,6 +36,6 @@ impl<'de> Deserialize<'de> for Cloud {
         let seen_cm: Box<[u16; BEARINGS]> = Box::<[u16]>::from(parts.seen_cm)
             .try_into()
             .map_err(|_| D::Error::invalid_length(bearings, &"one range for each bearing"))?;
-        Ok(Self::from_parts(parts.points.into_owned(), parts.sensor, parts.middle, seen_cm))
+        Ok(Self::from_parts(parts.points.into_owned(), parts.sensor, parts.centroid_m, seen_cm))
     }
 }

@@ -51,7 +51,7 @@ impl SlamConfig {
         between("links.near", self.links.near as f64, 0.0, 64.0, "0 to 64")?;
         between("links.gate_wide_m", self.links.gate_wide_m.into(), 0.01, 0.5, "0.01 to 0.5 m")?;
         between("links.gate_narrow_m", self.links.gate_narrow_m.into(), 0.01, 0.5, "0.01 to 0.5 m")?;
-        between("links.places_share", self.links.places_share, 0.0, 1.0, "0 to 1")?;
+        between("links.point_landmark_weight", self.links.point_landmark_weight, 0.0, 1.0, "0 to 1")?;
         between("links.point_sigma_m", self.links.point_sigma_m, 1e-4, 1.0, "0.0001 to 1 m")?;
         between("closures.window_max_m", self.closures.window_max_m, 0.1, 50.0, "0.1 to 50 m")?;
         between("closures.query_nodes", self.closures.query_nodes as f64, 1.0, 100.0, "1 to 100")?;
@@ -127,8 +127,8 @@ impl SlamConfig {
             ("links.sigma_max_m", links.sigma_max_m),
             ("links.sigma_max_rad", links.sigma_max_rad),
             ("links.cauchy_m", links.cauchy_m),
-            ("links.floor_m", links.floor_m),
-            ("links.floor_rad", links.floor_rad),
+            ("links.sigma_min_m", links.sigma_min_m),
+            ("links.sigma_min_rad", links.sigma_min_rad),
             ("closures.window_max_rad", closures.window_max_rad),
             ("closures.window_sigmas", closures.window_sigmas),
             ("closures.chain_m", closures.chain_m),

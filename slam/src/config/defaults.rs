@@ -99,9 +99,9 @@ impl Default for LinkConfig {
             gate_narrow_m: 0.12,
             cauchy_m: 0.04,
             point_sigma_m: 0.03,
-            places_share: 0.02,
-            floor_m: 0.01,
-            floor_rad: 0.003,
+            point_landmark_weight: 0.02,
+            sigma_min_m: 0.01,
+            sigma_min_rad: 0.003,
             drift_m_per_m: 0.01,
             drift_rad_per_m: 0.003,
         }

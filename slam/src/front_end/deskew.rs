@@ -23,7 +23,7 @@ impl FrontEnd {
         &mut self,
         scan: &Scan,
         prediction: &PosePrediction,
-        odom_from_base: Option<Pose2>,
+        continuous_from_base: Option<Pose2>,
     ) -> (BeamPoses, Arc<Cloud>, TrackedPose) {
         self.stages.stage_started(Stage::Cloud);
         let base_from_scan = self.config.base_from_scan();
@@ -31,7 +31,7 @@ impl FrontEnd {
         let seconds = BeamPoses::sweep_duration_s(scan);
         let from_odometry = match seconds {
             Some(0.0) => Some(fixed),
-            Some(seconds) => self.motion.beam_poses(base_from_scan, scan, seconds, odom_from_base),
+            Some(seconds) => self.motion.beam_poses(base_from_scan, scan, seconds, continuous_from_base),
             None => None,
         };
         let interval_s = self.motion.last.map(|last| scan.header.stamp - last.stamp);

@@ -74,10 +74,10 @@ impl PosePrediction {
 
 impl FrontEnd {
     /// The pose expected of a scan: from odometry, or from the last motion.
-    pub(super) fn predict(&mut self, scan: &Scan, odom_from_base: Option<Pose2>) -> PosePrediction {
+    pub(super) fn predict(&mut self, scan: &Scan, continuous_from_base: Option<Pose2>) -> PosePrediction {
         let newest = self.matcher.references.back();
         let stamp = scan.header.stamp;
-        let mut prediction = self.motion.predict(stamp, odom_from_base, newest, &self.config.odometry);
+        let mut prediction = self.motion.predict(stamp, continuous_from_base, newest, &self.config.odometry);
         if self.matcher.newest_saw_nothing(&self.config.tracking) {
             prediction = prediction.with_error_of_reference();
         }
@@ -86,9 +86,9 @@ impl FrontEnd {
     }
 
     /// Odometry that slipped, or that is back after it was missing, counts from the matched pose.
-    pub(super) fn rebase_odometry(&mut self, pose: &TrackedPose, odom_from_base: Option<Pose2>) {
-        let Some((newest, odom)) = self.matcher.references.back().zip(odom_from_base) else { return };
-        let is_back = self.motion.reference_odom_from_base.is_none() && pose.fits;
+    pub(super) fn rebase_odometry(&mut self, pose: &TrackedPose, continuous_from_base: Option<Pose2>) {
+        let Some((newest, odom)) = self.matcher.references.back().zip(continuous_from_base) else { return };
+        let is_back = self.motion.node_continuous_from_base.is_none() && pose.fits;
         if pose.slipped || is_back {
             self.motion.rebase_odometry(newest, pose.local_from_base, odom);
             self.counts.slips += u64::from(pose.slipped);
@@ -101,9 +101,9 @@ impl FrontEnd {
         &mut self,
         stamp: Stamp,
         pose: &TrackedPose,
-        odom_from_base: Option<Pose2>,
+        continuous_from_base: Option<Pose2>,
     ) {
-        if odom_from_base.is_some() && self.motion.reference_odom_from_base.is_some() {
+        if continuous_from_base.is_some() && self.motion.node_continuous_from_base.is_some() {
             self.nodes.unmeasured_s = 0.0;
             return;
         }
@@ -120,9 +120,9 @@ pub(super) struct MotionModel {
     /// The last accepted scan.
     pub last: Option<LastScan>,
     /// Odometry at the newest reference scan, if it has not jumped since.
-    pub reference_odom_from_base: Option<Pose2>,
+    pub node_continuous_from_base: Option<Pose2>,
     /// Covariance of that scan's pose.
-    pub reference_covariance: Matrix3<f64>,
+    pub node_covariance: Matrix3<f64>,
 }
 
 impl MotionModel {
@@ -130,22 +130,22 @@ impl MotionModel {
         Self {
             odometry: OdometryBuffer::new(config.clone()),
             last: None,
-            reference_odom_from_base: None,
-            reference_covariance: Matrix3::zeros(),
+            node_continuous_from_base: None,
+            node_covariance: Matrix3::zeros(),
         }
     }
 
     /// Forgets where the robot was: nothing is known of its motion since the last scan.
     pub fn forget(&mut self) {
-        self.reference_odom_from_base = None;
-        self.last = self.last.map(|last| LastScan { odom_from_base: None, motion: None, ..last });
+        self.node_continuous_from_base = None;
+        self.last = self.last.map(|last| LastScan { continuous_from_base: None, motion: None, ..last });
     }
 
     /// The pose expected at a stamp. `newest` is the newest reference scan.
     pub fn predict(
         &mut self,
         stamp: Stamp,
-        odom_from_base: Option<Pose2>,
+        continuous_from_base: Option<Pose2>,
         newest: Option<&Node>,
         config: &OdometryConfig,
     ) -> PosePrediction {
@@ -160,15 +160,15 @@ impl MotionModel {
             };
         };
         let interval_s = stamp - last.stamp;
-        if let (Some(before), Some(now)) = (last.odom_from_base, odom_from_base) {
+        if let (Some(before), Some(now)) = (last.continuous_from_base, continuous_from_base) {
             let possible_m = config.speed_max_m_s * interval_s + ODOMETRY_JUMP_MARGIN_M;
             if before.distance_m(now) > ODOMETRY_JUMP_FACTOR * possible_m {
-                self.reference_odom_from_base = None;
+                self.node_continuous_from_base = None;
             }
         }
         // From the newest reference, not from the last scan: many small steps would add up to more
         // uncertainty than one long one.
-        let reference = newest.zip(self.reference_odom_from_base).zip(odom_from_base);
+        let reference = newest.zip(self.node_continuous_from_base).zip(continuous_from_base);
         if let Some(((node, before), now)) = reference {
             let moved = before.between(now);
             let (distance_m, turn_rad) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
@@ -178,7 +178,7 @@ impl MotionModel {
                 sigma_rad: config.sigma_rad
                     + config.sigma_rad_per_rad * turn_rad
                     + config.sigma_rad_per_m * distance_m,
-                start_covariance: self.reference_covariance,
+                start_covariance: self.node_covariance,
                 distance_m,
                 is_valid_unmatched: true,
             };
@@ -202,9 +202,9 @@ impl MotionModel {
         base_from_scan: Pose2,
         scan: &Scan,
         seconds: f64,
-        odom_from_base: Option<Pose2>,
+        continuous_from_base: Option<Pose2>,
     ) -> Option<BeamPoses> {
-        let before = odom_from_base?;
+        let before = continuous_from_base?;
         BeamPoses::new(base_from_scan, scan, seconds, |after_s| {
             let then = scan.header.stamp + core::time::Duration::from_secs_f64(after_s);
             Some(before.between(self.odometry.at(then)?))
@@ -212,14 +212,14 @@ impl MotionModel {
     }
 
     /// After wheels have slipped, odometry counts from the matched pose, so that the slip no longer pulls.
-    pub fn rebase_odometry(&mut self, newest: &Node, local_from_base: Pose2, odom_from_base: Pose2) {
+    pub fn rebase_odometry(&mut self, newest: &Node, local_from_base: Pose2, continuous_from_base: Pose2) {
         let moved = newest.local_from_base.between(local_from_base);
-        self.reference_odom_from_base = Some(odom_from_base * moved.inverse());
+        self.node_continuous_from_base = Some(continuous_from_base * moved.inverse());
     }
 
     /// Odometry from the newest reference scan to now.
-    pub fn moved_since_reference(&self, odom_from_base: Option<Pose2>) -> Option<Pose2> {
-        self.reference_odom_from_base.zip(odom_from_base).map(|(before, now)| before.between(now))
+    pub fn moved_since_reference(&self, continuous_from_base: Option<Pose2>) -> Option<Pose2> {
+        self.node_continuous_from_base.zip(continuous_from_base).map(|(before, now)| before.between(now))
     }
 
     /// Records an accepted scan.
@@ -228,16 +228,20 @@ impl MotionModel {
         stamp: Stamp,
         local_from_base: Pose2,
         covariance: Matrix3<f64>,
-        odom_from_base: Option<Pose2>,
+        continuous_from_base: Option<Pose2>,
     ) {
         let since = |l: LastScan| (l.local_from_base.between(local_from_base), stamp - l.stamp);
         let motion = self.last.map(since).filter(|(_, seconds)| *seconds > 0.0);
-        self.last = Some(LastScan { stamp, local_from_base, odom_from_base, motion, covariance });
+        self.last = Some(LastScan { stamp, local_from_base, continuous_from_base, motion, covariance });
     }
 
     /// The clock was set back to `begins`. Odometry's poses stay valid as measured since the newest reference.
     pub fn reset_clock(&mut self, begins: Stamp) {
-        self.last =
-            self.last.map(|last| LastScan { stamp: begins, odom_from_base: None, motion: None, ..last });
+        self.last = self.last.map(|last| LastScan {
+            stamp: begins,
+            continuous_from_base: None,
+            motion: None,
+            ..last
+        });
     }
 }

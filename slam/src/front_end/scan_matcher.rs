@@ -1,7 +1,7 @@
 //! Scan matching against the local map: a correlative search around the prediction, then an alignment.
 
 use super::motion::PosePrediction;
-use crate::align::{Alignment, Prior, Reference, align};
+use crate::align::{Prior, Reference, ScanAlignment, align};
 use crate::cloud::{Agreement, Cloud};
 use crate::config::{SlamConfig, TrackingConfig};
 use crate::likelihood_field::{LikelihoodField, SearchBuffers, SearchLimits, SearchWindow};
@@ -283,7 +283,7 @@ fn state_by_odometry(prediction: &PosePrediction) -> TrackingState {
     }
 }
 
-fn contradicts_odometry(fit: &Alignment, prediction: &PosePrediction) -> bool {
+fn contradicts_odometry(fit: &ScanAlignment, prediction: &PosePrediction) -> bool {
     let off = prediction.pose.between(fit.frame_from_cloud);
     off.x_m.hypot(off.y_m) > SLIP_SIGMAS * prediction.sigma_m
         || off.yaw_rad.abs() > SLIP_SIGMAS * prediction.sigma_rad

@@ -31,9 +31,9 @@ pub struct FrontEndState {
     /// Pose of the front end's frame in the loop-closed map.
     pub map_from_local: Pose2,
     /// Odometry from the newest published node to the newest reference scan; `None` if unknown.
-    pub published_from_newest: Option<Pose2>,
+    pub sent_from_newest: Option<Pose2>,
     /// Pose by odometry at the newest reference scan; `None` if unknown.
-    pub node_odom_from_base: Option<Pose2>,
+    pub node_continuous_from_base: Option<Pose2>,
     /// Covariance over (x, y, yaw) of the newest reference scan's pose.
     #[serde(with = "crate::encoding::matrix")]
     pub node_covariance: Matrix3<f64>,
@@ -69,13 +69,13 @@ impl FrontEnd {
                 state.odometry_rejected,
             ),
             last: state.last,
-            reference_odom_from_base: state.node_odom_from_base,
-            reference_covariance: state.node_covariance,
+            node_continuous_from_base: state.node_continuous_from_base,
+            node_covariance: state.node_covariance,
         };
         front.nodes = NodeBuilder {
             next_node: state.next_node,
             published: newest.last().map(|node| (state.next_node.saturating_sub(1), node.local_from_base)),
-            published_from_newest: state.published_from_newest,
+            sent_from_newest: state.sent_from_newest,
             lost_in_row: state.lost_in_row,
             last_scan_lost: state.last_scan_lost,
             requested: false,
@@ -89,7 +89,7 @@ impl FrontEnd {
         front.frame.closures = state.closures;
         front.counts = state.counts;
         front.newest_with_odometry = state.last.filter(|_| state.located).and_then(|last| {
-            Some([state.map_from_local * last.local_from_base, last.odom_from_base?.inverse()])
+            Some([state.map_from_local * last.local_from_base, last.continuous_from_base?.inverse()])
         });
         front
     }
@@ -106,9 +106,9 @@ impl FrontEnd {
             closures: self.frame.closures,
             located: self.frame.is_located,
             map_from_local: self.frame.map_from_local,
-            published_from_newest: self.nodes.published_from_newest,
-            node_odom_from_base: self.motion.reference_odom_from_base,
-            node_covariance: self.motion.reference_covariance,
+            sent_from_newest: self.nodes.sent_from_newest,
+            node_continuous_from_base: self.motion.node_continuous_from_base,
+            node_covariance: self.motion.node_covariance,
             last_break: self.frame.last_break,
             last: self.motion.last,
             counts: self.counts,

@@ -17,7 +17,7 @@ const VARIANCE_FACTORS: [f64; 2] = [0.25, 4.0];
 
 /// What is known of the edges' errors beyond what they claim.
 #[derive(Clone, Copy, Debug)]
-struct EdgeErrors {
+struct EdgeNoiseModel {
     /// Standard deviation that is added to each edge but odometry's, metres and radians per metre.
     drift: [f64; 2],
     /// Variance of links and closures as a multiple of what they claim.
@@ -29,7 +29,7 @@ struct EdgeErrors {
 
 /// A covariance along a way through the graph.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct WayCovariance {
+pub(super) struct PathCovariance {
     covariance: Matrix3<f64>,
     /// Length of the newest part of the way that odometry alone measured, metres.
     odometry_m: f64,
@@ -87,13 +87,13 @@ impl Graph {
     /// Covariance of a node's pose as seen from another one, in the map's axes, along the best way; `None` if no edges join
     /// them. `drift` is a standard deviation that is added to each edge but odometry's, metres and radians per metre.
     pub fn relative_covariance(&self, from: u32, to: u32, drift: [f64; 2]) -> Option<Matrix3<f64>> {
-        let errors = EdgeErrors { drift, variance_factor: 1.0, repeating: [0.0; 2] };
+        let errors = EdgeNoiseModel { drift, variance_factor: 1.0, repeating: [0.0; 2] };
         self.covariances_from(from, Some(to), errors)[to as usize].map(|way| way.covariance)
     }
 
-    fn learned_errors(&self) -> EdgeErrors {
+    fn learned_errors(&self) -> EdgeNoiseModel {
         let repeating = self.repeating_odometry_errors;
-        EdgeErrors { drift: [0.0; 2], variance_factor: self.variance_factor, repeating }
+        EdgeNoiseModel { drift: [0.0; 2], variance_factor: self.variance_factor, repeating }
     }
 
     /// How large the links' errors in the solved graph are, in variances that they claim: the variance of unit weight (Mikhail,
@@ -111,14 +111,14 @@ impl Graph {
         &self,
         first: u32,
         last: Option<u32>,
-        errors: EdgeErrors,
-    ) -> Vec<Option<WayCovariance>> {
+        errors: EdgeNoiseModel,
+    ) -> Vec<Option<PathCovariance>> {
         let mut covariances = vec![None; self.poses.len()];
         if first as usize >= self.poses.len() {
             return covariances;
         }
         let mut open = std::collections::BinaryHeap::new();
-        covariances[first as usize] = Some(WayCovariance { covariance: Matrix3::zeros(), odometry_m: 0.0 });
+        covariances[first as usize] = Some(PathCovariance { covariance: Matrix3::zeros(), odometry_m: 0.0 });
         open.push((core::cmp::Reverse(0_u64), first));
         while let Some((core::cmp::Reverse(bits), node)) = open.pop() {
             let Some(known) = covariances[node as usize] else { continue };
@@ -145,9 +145,9 @@ impl Graph {
         &self,
         edge: &Edge,
         from: u32,
-        known: WayCovariance,
-        errors: EdgeErrors,
-    ) -> Option<WayCovariance> {
+        known: PathCovariance,
+        errors: EdgeNoiseModel,
+    ) -> Option<PathCovariance> {
         let [a, b] = [edge.a, edge.b].map(|id| self.poses[id as usize]);
         let is_scan = |e: &Edge| matches!(e.kind, EdgeKind::Link | EdgeKind::Closure);
         let scaled =
@@ -171,11 +171,11 @@ impl Graph {
         } else {
             carry_covariance(known.covariance + measured, moved(b, a))
         };
-        Some(WayCovariance { covariance, odometry_m })
+        Some(PathCovariance { covariance, odometry_m })
     }
 }
 
-impl WayCovariance {
+impl PathCovariance {
     /// What the best way makes small: the variance of the position, m².
     fn spread(&self) -> f64 {
         self.covariance[(0, 0)] + self.covariance[(1, 1)]

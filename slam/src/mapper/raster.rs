@@ -42,7 +42,7 @@ impl NodeCells {
     }
 
     /// Draws the node into the open tiles. Returns the number of cells passed, open or not.
-    pub fn draw(&self, mut tiles: OpenTiles<'_>, updates: &CellUpdates) -> usize {
+    pub fn draw(&self, mut tiles: OpenTiles<'_>, updates: &UpdateTables) -> usize {
         let mut cells = 0;
         // A cell that beams graze and one beam ends in is a surface: ends are drawn last and
         // make good what this scan's passing beams took.
@@ -68,17 +68,17 @@ impl NodeCells {
 }
 
 /// Tables of a cell's new value by its old value's bits.
-pub(super) struct CellUpdates {
+pub(super) struct UpdateTables {
     /// After a beam passed.
     pass: [i8; 256],
     /// After a beam that was drawn as passing ends in the cell.
     end: [i8; 256],
 }
 
-impl CellUpdates {
+impl UpdateTables {
     /// Tables of the configured log-odds of a hit and a miss.
     pub fn new(config: &MapConfig) -> Self {
-        let step = |nats: f64| (nats / LOG_ODDS_PER_STEP).round().clamp(1.0, 127.0) as i8;
+        let step = |nats: f64| (nats / LOG_ODDS_PER_STEP).round().clamp(1.0, f64::from(LOG_ODDS_MAX)) as i8;
         let (hit, miss) = (step(config.hit), -step(config.miss));
         let table = |change: i8| {
             core::array::from_fn(|bits| {

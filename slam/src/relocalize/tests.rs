@@ -34,7 +34,7 @@ fn a_robot_is_found_when_searches_along_its_path_agree_and_not_before() {
         if counts.found < 3 {
             assert_eq!(outcome, RelocalizationOutcome::NotFound, "{} searches are no proof", counts.found);
         }
-        if let RelocalizationOutcome::Found(found) = outcome {
+        if let RelocalizationOutcome::Found { map_from_local: found } = outcome {
             assert!(found.distance_m(map_from_local) < 0.05, "{found:?}");
             return;
         }

@@ -30,6 +30,8 @@ const RADIUS_MIN_M: f32 = 1.0;
 const RADIUS_MAX_M: f32 = 10.0;
 /// Largest offset of a point in cells: it is stored in 16 bits.
 const OFFSET_MAX: i32 = 16_000;
+/// Cells along the side of a block that are looked at for open floor: open areas are squares of several metres.
+const OPEN_SAMPLES: i32 = 4;
 /// Points scored between two checks whether the least score can still be reached.
 const SCORE_CHUNK: usize = 32;
 /// Bearings of an eighth of a turn, at one a degree.
@@ -328,8 +330,7 @@ impl BranchAndBound<'_> {
                 return false;
             }
         }
-        // Open areas are squares of several metres, so a coarse lattice of the block is enough.
-        let step = (side / 4).max(1);
+        let step = (side / OPEN_SAMPLES).max(1);
         (block.y..top)
             .step_by(step as usize)
             .any(|y| (block.x..right).step_by(step as usize).any(|x| map.open[(y * map.width + x) as usize]))

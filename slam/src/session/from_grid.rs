@@ -23,6 +23,8 @@ const REACH_M: f64 = 25.0;
 const CLEAR_M: f64 = 0.2;
 /// Places at most: the spacing grows until they fit.
 const PLACES_MAX: usize = 4000;
+/// Factor by which the spacing grows.
+const SPACING_GROWTH: f64 = 1.5;
 
 impl Session {
     /// See the module. The grid's frame becomes the robot's map frame.
@@ -30,7 +32,7 @@ impl Session {
         let mut spacing_m = SPACING_M;
         let mut places = free_places(grid, spacing_m);
         while places.len() > PLACES_MAX {
-            spacing_m *= 1.5;
+            spacing_m *= SPACING_GROWTH;
             places = free_places(grid, spacing_m);
         }
         let lidar = LidarConfig { base_from_scan: [0.0; 3], ..config.lidar.clone() };

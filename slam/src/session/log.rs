@@ -13,7 +13,7 @@ use super::{Identity, SessionError, VERSION, decode_whole, encode_after, word};
 use crate::back_end::BackEnd;
 use crate::front_end::FrontEndState;
 use crate::node::{Node, Revision};
-use crate::relocalize::PoseEstimate;
+use crate::relocalize::LocalFrameEstimate;
 use serde::{Deserialize, Serialize};
 
 /// First bytes of a record.
@@ -36,7 +36,7 @@ pub struct LoggedNode {
     /// The node, with the front end's id.
     pub node: Node,
     /// Estimate of the map's pose in the front end's frame, with which an empty map begins.
-    pub begins_at: Option<PoseEstimate>,
+    pub begins_at: Option<LocalFrameEstimate>,
 }
 
 /// One record of a log.
@@ -72,7 +72,7 @@ pub struct LogRecordBuilder {
 
 impl LogRecordBuilder {
     /// Adds a node that the back end is about to receive.
-    pub fn add(&mut self, node: &Node, begins_at: Option<PoseEstimate>) {
+    pub fn add(&mut self, node: &Node, begins_at: Option<LocalFrameEstimate>) {
         // The fields of a `LoggedNode`.
         self.nodes = encode_after(std::mem::take(&mut self.nodes), &(node, begins_at));
         self.count += 1;

@@ -10,7 +10,7 @@ use crate::front_end::FrontEndState;
 use crate::graph::Edge;
 use crate::map_doubts::{MapDoubts, NodeComparison, WallAgreement};
 use crate::node::{Node, Rays, SweptPath};
-use crate::relocalize::PoseEstimate;
+use crate::relocalize::LocalFrameEstimate;
 use msg::{BEAMS_MAX, Pose2};
 use nalgebra::Matrix3;
 
@@ -92,7 +92,7 @@ impl LogRecord {
         for logged in &self.nodes {
             check(logged.node.id <= NUMBER_MAX, "number of a record's node")?;
             check_node(&logged.node)?;
-            if let Some(PoseEstimate { map_from_local, sigma_m, sigma_rad }) = logged.begins_at {
+            if let Some(LocalFrameEstimate { map_from_local, sigma_m, sigma_rad }) = logged.begins_at {
                 check_pose(map_from_local, "estimate of the first node's pose")?;
                 let sound = [sigma_m, sigma_rad].iter().all(|sigma| (0.0..=SIGMA_MAX).contains(sigma));
                 check(sound, "uncertainty of the first node's pose")?;
@@ -143,14 +143,14 @@ fn check_swept_path(path: &SweptPath, most_m: f32) -> Result {
 fn check_node(node: &Node) -> Result {
     let Rays { sensor, hits, misses } = &*node.rays;
     check_count(hits.len().max(misses.len()), BEAMS_MAX, "beams in a node")?;
-    let (points, cloud_sensor, middle, _) = node.cloud.parts();
+    let (points, cloud_sensor, centroid_m, _) = node.cloud.parts();
     for point in points {
         check_points(&[point.at], BEAM_M_MAX, "point of a node")?;
         check_points(&[point.normal], UNIT_MAX, "surface's direction")?;
     }
     check_points(hits, BEAM_M_MAX, "beam of a node")?;
     check_points(misses, BEAM_M_MAX, "beam of a node")?;
-    check_points(&[cloud_sensor, middle, *sensor], BEAM_M_MAX, "sensor of a node")?;
+    check_points(&[cloud_sensor, centroid_m, *sensor], BEAM_M_MAX, "sensor of a node")?;
     check_swept_path(&node.swept_path, BEAM_M_MAX)?;
     check((0.0..=UNMEASURED_S_MAX).contains(&node.unmeasured_s), "time without a measured motion")?;
     check_pose(node.local_from_base, "node's pose")?;
@@ -167,11 +167,11 @@ fn check_edge(edge: &Edge, nodes: usize) -> Result {
 }
 
 fn check_candidate(candidate: &ClosureCandidate, nodes: usize) -> Result {
-    let ClosureCandidate { node, candidate, candidate_from_node, information, response } = candidate;
-    let there = (*node as usize) < nodes && (*candidate as usize) < nodes;
-    check(there && node != candidate, "closure candidate of a node that is not there")?;
+    let ClosureCandidate { newer, older, older_from_newer, information, response } = candidate;
+    let there = (*newer as usize) < nodes && (*older as usize) < nodes;
+    check(there && newer != older, "closure candidate of a node that is not there")?;
     check((0.0..=1.0).contains(response), "closure candidate's response")?;
-    check_pose(*candidate_from_node, "closure candidate's measurement")?;
+    check_pose(*older_from_newer, "closure candidate's measurement")?;
     check_matrix(information, "closure candidate's information")
 }
 
@@ -190,7 +190,7 @@ fn check_back_end(back: &BackEndState) -> Result {
     check_count(back.edges.len(), EDGES_PER_NODE_MAX * nodes, "edges")?;
     back.edges.iter().try_for_each(|edge| check_edge(edge, nodes))?;
     check((0.0..TRAVELLED_M_MAX).contains(&back.travelled_m), "length of the path")?;
-    for (ids, what) in [(&back.not_found, "nodes not found"), (&back.again, "nodes to search for again")] {
+    for (ids, what) in [(&back.not_found, "nodes not found"), (&back.to_retry, "nodes to search for again")] {
         check_count(ids.len(), WAITING_MAX, what)?;
         check(ids.iter().all(|id| (*id as usize) < nodes), what)?;
     }
@@ -260,13 +260,13 @@ fn check_front_end(front: &FrontEndState, nodes: usize) -> Result {
     check(front.lost_in_row <= NUMBER_MAX, "number of consecutive scans that did not fit")?;
     check_pose(front.map_from_local, "front end's frame in the map")?;
     check_pose(front.continuous_from_odom, "odometry's frame")?;
-    check_poses(front.node_odom_from_base, "newest node's odometry")?;
-    check_poses(front.published_from_newest, "odometry since the newest node")?;
+    check_poses(front.node_continuous_from_base, "newest node's odometry")?;
+    check_poses(front.sent_from_newest, "odometry since the newest node")?;
     check_matrix(&front.node_covariance, "newest node's covariance")?;
     if let Some(last) = &front.last {
         check_pose(last.local_from_base, "last pose")?;
         check_matrix(&last.covariance, "last pose's covariance")?;
-        check_poses(last.odom_from_base, "last pose's odometry")?;
+        check_poses(last.continuous_from_base, "last pose's odometry")?;
         check_poses(last.motion.map(|(motion, _)| motion), "last motion")?;
         let seconds = last.motion.map_or(0.0, |(_, seconds)| seconds);
         check((0.0..INTERVAL_S_MAX).contains(&seconds), "duration of the last motion")?;

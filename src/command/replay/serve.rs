@@ -10,7 +10,7 @@ use crate::config::FleetConfig;
 use crate::keys::Keys;
 use crate::process::bridge::page;
 use crate::stop::Stop;
-use bridge::dds::{DdsEndpoint, RosLink};
+use bridge::dds::{DdsEndpoint, DdsQueues};
 use bridge::{Bridge, BridgeConfig};
 use recording::fleet::FleetRecording;
 use recording::playback::Speed;
@@ -121,7 +121,7 @@ fn open_transports(config: &FleetConfig) -> Result<Transports, ReplayError> {
     if !config.bridge.dds.enabled {
         return Ok(Transports { bridge, dds: None });
     }
-    let link = Arc::new(RosLink::default());
+    let link = Arc::new(DdsQueues::default());
     let commands = link.clone();
     bridge.on_ros_command(move |command| commands.send_command(command));
     let (events, to) = (link.clone(), bridge.clone());

@@ -119,7 +119,7 @@ impl Summary {
         self.refused_other = counts.beam_count + counts.geometry;
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
-        self.disconnected_nodes = done.disconnected;
+        self.disconnected_nodes = done.untied;
         self.disconnected_components = back.disconnected_components();
         self.doubts = back.doubts();
         self.unreliable = self.doubts.is_unreliable();

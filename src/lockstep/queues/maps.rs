@@ -2,7 +2,7 @@
 
 use super::{Network, Queue, Topic, VirtualClock};
 use crate::channel::MAP_MESSAGES_MAX;
-use crate::ports::{Clock, Gaps, MAP_REQUEST_PERIOD, ReadMapPort, Stamper, WriteMapPort};
+use crate::ports::{Clock, MAP_REQUEST_PERIOD, MessageSequencer, ReadMapPort, ReceiveCounts, WriteMapPort};
 use msg::tiles::{PatchReceiver, PatchSender};
 use msg::{MapTile, Message, Monotonic, PatchHeader, TileMap};
 use std::cell::Cell;
@@ -19,7 +19,7 @@ pub struct QueueMapWriter {
     pub(super) network: Rc<Network>,
     pub(super) topic: Rc<Topic<PatchMessage>>,
     pub(super) requests: Rc<Cell<bool>>,
-    pub(super) stamper: Stamper,
+    pub(super) stamper: MessageSequencer,
     pub(super) sender: PatchSender,
     pub(super) bytes: u64,
 }
@@ -69,7 +69,7 @@ pub struct QueueMapReader {
     pub(super) topic: Rc<Topic<PatchMessage>>,
     pub(super) queue: Rc<Queue<PatchMessage>>,
     pub(super) asked: Option<Monotonic>,
-    pub(super) gaps: Gaps,
+    pub(super) gaps: ReceiveCounts,
     pub(super) receiver: PatchReceiver,
 }
 
@@ -96,7 +96,7 @@ impl ReadMapPort for QueueMapReader {
         self.receiver.map()
     }
 
-    fn gaps(&self) -> Gaps {
+    fn gaps(&self) -> ReceiveCounts {
         self.gaps
     }
 }

@@ -101,8 +101,8 @@ fn demand_scans<P: Ports + 'static, T: Transport + 'static>(
     let (transport, clock, robots) = (transport.clone(), ports.clock(), run.config.fleet.robots);
     let pass = Box::new(move || {
         let now = clock.now();
-        let is_read = |robot: &RobotId| transport.is_read(FleetTopic::Scan, *robot);
-        demand.update(RobotId::first(robots).filter(is_read), now);
+        let has_subscriber = |robot: &RobotId| transport.has_subscriber(FleetTopic::Scan, *robot);
+        demand.update(RobotId::first(robots).filter(has_subscriber), now);
         now.next_multiple(DEMAND_PERIOD)
     });
     // Nobody notifies of a subscription: any channel that is rarely written will do.

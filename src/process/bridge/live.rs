@@ -1,7 +1,7 @@
 //! The live bridge process: the tokio tasks that call its components, the TCP port and the control socket.
 
 use super::feeds::Feed;
-use super::{BridgeProcess, Upkeep, page};
+use super::{BridgeProcess, PeriodicTasks, page};
 use crate::clock::now;
 use crate::event_loop;
 use crate::nasa_tlx;
@@ -87,7 +87,7 @@ pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
 }
 
 /// Calls the upkeep whenever it is due. It is a task of its own, so that robots stop in time whatever clients do.
-async fn run_upkeep<P: Ports, W: FileWorker>(mut upkeep: Upkeep<P, W>) {
+async fn run_upkeep<P: Ports, W: FileWorker>(mut upkeep: PeriodicTasks<P, W>) {
     loop {
         let due = upkeep.step();
         event_loop::sleep_until(due).await;

@@ -11,7 +11,7 @@ use crate::process::map_publisher::MapPublisher;
 use crate::process::submap_publisher::SubmapPublisher;
 use crate::run::Run;
 use crate::sessions;
-use ::slam::{BackEnd, FrontEnd, FrontEndState, Identity, Node, PoseEstimate, Session};
+use ::slam::{BackEnd, FrontEnd, FrontEndState, Identity, LocalFrameEstimate, Node, Session};
 use msg::{Monotonic, RobotId, SlamMode, SlamRequest};
 use std::path::PathBuf;
 use std::sync::mpsc::SyncSender;
@@ -172,8 +172,8 @@ impl WorkerState {
     fn add_node(&mut self, node: Node, start: Option<TrajectoryStart>) {
         let [sigma_m, sigma_rad] = CARRIED_SIGMA;
         let estimate = match start {
-            Some(TrajectoryStart::At(map_from_local)) => {
-                Some(PoseEstimate { map_from_local, sigma_m, sigma_rad })
+            Some(TrajectoryStart::At { map_from_local }) => {
+                Some(LocalFrameEstimate { map_from_local, sigma_m, sigma_rad })
             }
             Some(TrajectoryStart::Unknown) | None => None,
         };
@@ -189,7 +189,7 @@ impl WorkerState {
         if self.back.failed_solutions() > failed_before {
             tracing::warn!("slam: the pose graph was not solved; the map stays as it was");
         }
-        self.commands.send_or_drop(FrontCommand::ApplyRevision(revision));
+        self.commands.send_or_drop(FrontCommand::QueueRevision(revision));
         if self.back.mode() != SlamMode::Localization {
             (self.redraw, self.autosave.changed) = (true, true);
         }

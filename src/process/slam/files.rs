@@ -9,7 +9,7 @@ use crate::ports::Clock;
 use crate::session_file;
 use crate::sessions::{self, TOLD_SIGMA};
 use crate::storage::Storage;
-use ::slam::{BackEnd, FrontEnd, Identity, InitialPose, PoseEstimate, Session, SlamConfig};
+use ::slam::{BackEnd, FrontEnd, Identity, InitialPose, LocalFrameEstimate, Session, SlamConfig};
 use msg::{Grid, Pose2, SlamMode, SlamRequest, StartPose};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, TrySendError};
@@ -73,14 +73,14 @@ pub struct Loaded {
 }
 
 /// Performs jobs, one after the other.
-pub struct FileWorker<C, S> {
+pub struct SlamFileWorker<C, S> {
     config: SlamConfig,
     storage: S,
     clock: C,
     outcomes: SyncSender<BackEndInput>,
 }
 
-impl<C: Clock, S: Storage> FileWorker<C, S> {
+impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
     /// Creates a worker whose outcomes go to the back-end thread.
     pub fn new(config: SlamConfig, storage: S, clock: C, outcomes: SyncSender<BackEndInput>) -> Self {
         Self { config, storage, clock, outcomes }
@@ -159,8 +159,9 @@ impl<C: Clock, S: Storage> FileWorker<C, S> {
         let [m, rad] = TOLD_SIGMA;
         let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
         let (sigma_m, sigma_rad) = (or(request.sigma_m, m), or(request.sigma_rad, rad));
-        let at =
-            |map_from_local: Pose2| InitialPose::Near(PoseEstimate { map_from_local, sigma_m, sigma_rad });
+        let at = |map_from_local: Pose2| {
+            InitialPose::Near(LocalFrameEstimate { map_from_local, sigma_m, sigma_rad })
+        };
         let poses = &session.back.poses;
         let start = match StartPose::from_code(request.start) {
             Some(StartPose::Given) => at(request.pose),

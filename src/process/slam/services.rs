@@ -8,7 +8,7 @@ use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
 use crate::sessions::TOLD_SIGMA;
-use ::slam::{ClosureReport, FrontEndState, InitialPose, PoseEstimate};
+use ::slam::{ClosureReport, FrontEndState, InitialPose, LocalFrameEstimate};
 use msg::{
     CLOSURES_MAX, ClosureInfo, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
     SlamResponse, StartPose, Text,
@@ -200,7 +200,7 @@ impl<P: Ports> Services<P> {
                 let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
                 let local_from_base = front.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
                 let map_from_local = request.pose * local_from_base.inverse();
-                state.back.start_relocalization(Some(PoseEstimate {
+                state.back.start_relocalization(Some(LocalFrameEstimate {
                     map_from_local,
                     sigma_m: or(request.sigma_m, m),
                     sigma_rad: or(request.sigma_rad, rad),
@@ -327,7 +327,7 @@ fn may_change(state: &WorkerState) -> Result<(), RequestRefused> {
 /// Sends the scan path its new pose, and how good it is, after the graph has changed.
 fn publish_changed_graph(state: &mut WorkerState) {
     state.mark_changed();
-    state.commands.send(FrontCommand::Apply(state.back.latest_revision()));
+    state.commands.send(FrontCommand::ApplyRevisionNow(state.back.latest_revision()));
 }
 
 fn mode_of(request: &SlamRequest) -> Result<SlamMode, RequestRefused> {

@@ -9,7 +9,7 @@ use crate::run::Run;
 use crate::sessions;
 use crate::storage::Storage;
 use ::slam::session::log::{LogContents, LogPosition, LogRecord, LogRecordBuilder, continuation};
-use ::slam::{FrontEndState, Identity, Node, PoseEstimate};
+use ::slam::{FrontEndState, Identity, LocalFrameEstimate, Node};
 use msg::{Monotonic, RobotId};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::SyncSender;
@@ -74,7 +74,13 @@ impl SessionLog {
     }
 
     /// Records a node before the back end receives it. `is_repeatable`: whether a restart can do the same with it.
-    pub fn add(&mut self, node: &Node, begins_at: Option<PoseEstimate>, is_repeatable: bool, now: Monotonic) {
+    pub fn add(
+        &mut self,
+        node: &Node,
+        begins_at: Option<LocalFrameEstimate>,
+        is_repeatable: bool,
+        now: Monotonic,
+    ) {
         if self.is_off || self.suspended {
             return;
         }

@@ -17,7 +17,7 @@ const SCANS_WITHOUT_ODOMETRY_MAX: u32 = 10;
 const ODOMETRY_AGE_MAX_S: f64 = 0.05;
 
 /// The scan path with its channels.
-pub struct ScanPath<P: Ports> {
+pub struct FrontEndLoop<P: Ports> {
     runner: FrontEndRunner,
     scans: P::Reader<Scan>,
     scan_listener: P::Listener,
@@ -27,7 +27,7 @@ pub struct ScanPath<P: Ports> {
     refused: u64,
 }
 
-impl<P: Ports> ScanPath<P> {
+impl<P: Ports> FrontEndLoop<P> {
     /// Opens the channels. `odom_pose`: where `odom` lies in the map when the first scan comes, if the front end does
     /// not know.
     pub fn open(
@@ -66,7 +66,7 @@ impl<P: Ports> ScanPath<P> {
     }
 }
 
-impl<P: Ports> ProcessLoop for ScanPath<P> {
+impl<P: Ports> ProcessLoop for FrontEndLoop<P> {
     fn step(&mut self) -> Monotonic {
         let Self { runner, scans, odometry, corrections, heartbeat, refused, .. } = self;
         runner.apply_commands();
@@ -89,7 +89,7 @@ impl<P: Ports> ProcessLoop for ScanPath<P> {
     }
 }
 
-impl<P: Ports> Listens<P::Listener> for ScanPath<P> {
+impl<P: Ports> Listens<P::Listener> for FrontEndLoop<P> {
     fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
         std::iter::once(&self.scan_listener)
     }
@@ -148,7 +148,7 @@ impl FrontEndRunner {
     fn apply_commands(&mut self) {
         while let Ok(command) = self.commands.try_recv() {
             match command {
-                FrontCommand::ApplyRevision(revision) => self.front.add_revision(revision),
+                FrontCommand::QueueRevision(revision) => self.front.add_revision(revision),
                 FrontCommand::Pause(paused) => self.paused = paused,
                 FrontCommand::ReportState => {
                     self.report(FrontEvent::State(Box::new(self.front.state())));
@@ -166,7 +166,7 @@ impl FrontEndRunner {
                 FrontCommand::SetMapFromLocal(map_from_local) => {
                     self.front.set_map_from_local(map_from_local)
                 }
-                FrontCommand::Apply(revision) => self.front.apply_revision(revision),
+                FrontCommand::ApplyRevisionNow(revision) => self.front.apply_revision(revision),
                 FrontCommand::RequestNode => self.front.request_node(),
             }
         }
@@ -218,7 +218,7 @@ impl FrontEndRunner {
             self.front.set_map_from_local(Some(map_from_local));
             step.correction.map_from_base = map_from_local * step.correction.map_from_base;
             step.correction.map_from_odom = map_from_odom;
-            self.trajectory_start = Some(TrajectoryStart::At(map_from_local));
+            self.trajectory_start = Some(TrajectoryStart::At { map_from_local });
         }
         if let Some(node) = step.node
             && self.report(FrontEvent::Node(node, self.trajectory_start))
@@ -237,7 +237,7 @@ impl FrontEndRunner {
             Some(last) => {
                 // Without odometry: the new front end's frame lies where the robot stands.
                 self.front.set_map_from_local(Some(last.map_from_base));
-                self.trajectory_start = Some(TrajectoryStart::At(last.map_from_base));
+                self.trajectory_start = Some(TrajectoryStart::At { map_from_local: last.map_from_base });
             }
             None => {}
         }

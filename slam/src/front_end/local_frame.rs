@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 const REVISIONS_MAX: usize = 64;
 
 /// Pose of the front end's frame in the map, and the revisions that will change it.
-pub(super) struct MapFrame {
+pub(super) struct LocalFrameInMap {
     pub map_from_local: Pose2,
     /// How well it is known.
     pub uncertainty: FrameUncertainty,
@@ -26,7 +26,7 @@ pub(super) struct MapFrame {
     pub revisions: VecDeque<Revision>,
 }
 
-impl MapFrame {
+impl LocalFrameInMap {
     pub fn new() -> Self {
         Self {
             map_from_local: Pose2::IDENTITY,

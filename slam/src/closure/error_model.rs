@@ -4,14 +4,14 @@ use crate::graph::RelativeUncertainty;
 
 /// Errors of the way that a search counts.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum CountedErrors {
+pub(super) enum ErrorModel {
     /// Those of each edge by itself.
     Independent,
     /// And those that repeat along the way.
     Repeating,
 }
 
-impl CountedErrors {
+impl ErrorModel {
     /// Returns what is known of a node with these errors.
     pub(super) fn of(self, known: RelativeUncertainty) -> RelativeUncertainty {
         match self {
@@ -22,7 +22,8 @@ impl CountedErrors {
 
     /// Whether a search that counts them differs from one that does not.
     pub(super) fn matter(self, known: Option<RelativeUncertainty>) -> bool {
-        self == Self::Independent || known.is_some_and(|known| known.bias_m.powi(2) > known.position)
+        self == Self::Independent
+            || known.is_some_and(|known| known.bias_m.powi(2) > known.position_variance_m2)
     }
 }
 
@@ -49,10 +50,10 @@ mod tests {
         let [near, far] = [8, 150].map(|id: usize| known[id].unwrap());
         // 0.5 mrad a metre: 75 mrad, and 5.6 m to the side.
         assert!((far.bias_rad - 0.075).abs() < 1e-9 && (far.bias_m - 5.5875).abs() < 1e-6, "{far:?}");
-        assert!(CountedErrors::Repeating.matter(Some(far)) && !CountedErrors::Repeating.matter(Some(near)));
-        assert!(CountedErrors::Independent.matter(Some(near)) && CountedErrors::Independent.matter(None));
-        assert!(CountedErrors::Repeating.of(far).position.sqrt() > 5.58);
-        assert!(CountedErrors::Independent.of(far).position.sqrt() < 4.0);
-        assert_eq!(CountedErrors::Independent.of(far).bias_m, 0.0);
+        assert!(ErrorModel::Repeating.matter(Some(far)) && !ErrorModel::Repeating.matter(Some(near)));
+        assert!(ErrorModel::Independent.matter(Some(near)) && ErrorModel::Independent.matter(None));
+        assert!(ErrorModel::Repeating.of(far).position_variance_m2.sqrt() > 5.58);
+        assert!(ErrorModel::Independent.of(far).position_variance_m2.sqrt() < 4.0);
+        assert_eq!(ErrorModel::Independent.of(far).bias_m, 0.0);
     }
 }

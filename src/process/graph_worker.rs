@@ -6,7 +6,7 @@ use super::{Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::clock::Epoch;
 use crate::merge_maps::{MapFiles, MapSlot};
-use crate::merge_memory::MergeMemory;
+use crate::merge_state_file::MergeStateFile;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
 use crate::progress::WatchedThread;
 use crate::realtime::lower_priority;
@@ -27,9 +27,17 @@ const REQUEST_NS: u64 = 3_000_000_000;
 /// Niceness of this thread: it gets less processor time than the threads that robots wait for.
 const NICE: i32 = 10;
 
-/// Estimate for each robot: the transform `map` from `robotK/map`, and the redrawn map if no
-/// single transform aligns it.
-pub type FleetEstimate = Vec<(Option<Pose2>, Option<Arc<Grid>>)>;
+/// What the fleet's pose graph knows of a robot's map.
+#[derive(Clone, Debug)]
+pub struct RobotMapEstimate {
+    /// Pose of the frame `robotK/map` in `map`; `None` while the robot's map is not connected.
+    pub map_from_robot_map: Option<Pose2>,
+    /// The robot's map drawn anew, if no single transform aligns it.
+    pub redrawn: Option<Arc<Grid>>,
+}
+
+/// Estimate for each robot, by its index.
+pub type FleetEstimate = Vec<RobotMapEstimate>;
 
 /// The newest estimate, for the thread that draws the map. [`channel::merge_edges`] wakes it when there is a new one.
 #[derive(Default)]
@@ -47,11 +55,11 @@ impl FleetEstimateSlot {
 }
 
 /// What the thread of the fleet's pose graph begins with.
-pub struct GraphState<S> {
+pub struct GraphWorkerParts<S> {
     /// The fleet's pose graph.
     pub graph: FleetPoseGraph,
     /// The file with the state of the graph.
-    pub memory: MergeMemory<S>,
+    pub memory: MergeStateFile<S>,
     /// The files with the robots' maps.
     pub files: MapFiles<S>,
     /// The newest estimates, for the thread that draws.
@@ -61,7 +69,7 @@ pub struct GraphState<S> {
 }
 
 /// Runs the thread until `done`.
-pub fn run(run: &Run, state: GraphState<DiskStorage>, done: &AtomicBool) -> Result<(), ChannelError> {
+pub fn run(run: &Run, state: GraphWorkerParts<DiskStorage>, done: &AtomicBool) -> Result<(), ChannelError> {
     lower_priority(NICE);
     let node = run.attach_thread(Role::Merge, None, "graph")?;
     let mut graph = GraphWorker::open(&node, run, state)?;
@@ -73,7 +81,7 @@ pub fn run(run: &Run, state: GraphState<DiskStorage>, done: &AtomicBool) -> Resu
 /// The fleet's pose graph with its channels. A step receives all messages and does one job.
 pub struct GraphWorker<P: Ports, S> {
     graph: FleetPoseGraph,
-    memory: MergeMemory<S>,
+    memory: MergeStateFile<S>,
     files: MapFiles<S>,
     maps: Arc<MapSlot>,
     sources: Vec<Source<P>>,
@@ -85,8 +93,8 @@ pub struct GraphWorker<P: Ports, S> {
 
 impl<P: Ports, S: Storage> GraphWorker<P, S> {
     /// Opens the channels of a graph.
-    pub fn open(ports: &P, run: &Run, state: GraphState<S>) -> Result<Self, ChannelError> {
-        let GraphState { graph, memory, files, estimates: slot, maps } = state;
+    pub fn open(ports: &P, run: &Run, state: GraphWorkerParts<S>) -> Result<Self, ChannelError> {
+        let GraphWorkerParts { graph, memory, files, estimates: slot, maps } = state;
         let mut listeners = vec![ports.listener(&channel::edge_command())?];
         for robot in run.robots() {
             listeners.push(ports.listener(&channel::submap_poses(robot))?);
@@ -214,7 +222,10 @@ impl<P: Ports> Output<P> {
 
     /// Publishes edges and estimates that have changed.
     fn publish(&mut self, graph: &FleetPoseGraph, robots: usize, now: Monotonic) {
-        let of_robot = |robot| (graph.map_from_robot_map(robot), graph.redrawn_map(robot).cloned());
+        let of_robot = |robot| RobotMapEstimate {
+            map_from_robot_map: graph.map_from_robot_map(robot),
+            redrawn: graph.redrawn_map(robot).cloned(),
+        };
         let estimate: FleetEstimate = RobotId::first(robots).map(of_robot).collect();
         let moved = self.estimate.as_ref().is_none_or(|before| !same(before, &estimate));
         let mut edges = self.edges.clone();
@@ -223,7 +234,8 @@ impl<P: Ports> Output<P> {
             self.slot.put(estimate.clone());
             self.estimate = Some(estimate);
         }
-        let changed = edges.edges() != self.edges.edges() || edges.contradicted != self.edges.contradicted;
+        let changed = edges.edges() != self.edges.edges()
+            || edges.contradicted_start_bits != self.edges.contradicted_start_bits;
         if moved || self.answered || changed {
             let known = |robot: &RobotId| self.edges.contradicted_starts().any(|other| other == *robot);
             for robot in edges.contradicted_starts().filter(|robot| !known(robot)) {
@@ -240,7 +252,8 @@ impl<P: Ports> Output<P> {
 }
 
 fn same(before: &FleetEstimate, now: &FleetEstimate) -> bool {
-    before.iter().zip(now).all(|((transform, map), (transform_now, map_now))| {
-        transform == transform_now && map.as_ref().map(Arc::as_ptr) == map_now.as_ref().map(Arc::as_ptr)
+    before.iter().zip(now).all(|(before, now)| {
+        before.map_from_robot_map == now.map_from_robot_map
+            && before.redrawn.as_ref().map(Arc::as_ptr) == now.redrawn.as_ref().map(Arc::as_ptr)
     })
 }

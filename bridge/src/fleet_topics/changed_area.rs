@@ -4,12 +4,12 @@ use msg::{GridHeader, GridView, Rect};
 
 /// A copy of the map that was published last, kept only while somebody subscribes to its updates.
 #[derive(Default)]
-pub struct MapUpdates {
+pub struct ChangedAreaFinder {
     header: GridHeader,
     cells: Vec<i8>,
 }
 
-impl MapUpdates {
+impl ChangedAreaFinder {
     /// Returns the smallest rectangle of cells that differ from the map before, and keeps this one.
     ///
     /// It is the whole map if there was none before, and `None` if nothing changed, or if size, resolution or origin
@@ -66,7 +66,7 @@ mod tests {
     #[test]
     fn the_changed_area_is_the_smallest_that_has_every_change() {
         let header_4x3 = header(4, 3);
-        let mut updates = MapUpdates::default();
+        let mut updates = ChangedAreaFinder::default();
         let mut cells = [0; 12];
         let mut changed =
             |header: &GridHeader, cells: &[i8]| updates.changed_area(GridView::new(header, cells).unwrap());

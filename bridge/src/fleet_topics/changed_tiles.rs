@@ -11,7 +11,7 @@ const CELL_TOLERANCE: f64 = 1e-3;
 
 /// A copy of the map that was published last, kept only while somebody subscribes to its tiles.
 #[derive(Default)]
-pub struct MapTiles {
+pub struct ChangedTileFinder {
     header: GridHeader,
     cells: Vec<i8>,
     /// Number of the last update; 0 before the first.
@@ -19,7 +19,7 @@ pub struct MapTiles {
     areas: Vec<Rect>,
 }
 
-impl MapTiles {
+impl ChangedTileFinder {
     /// Returns what changed since the map before, as published cells of `values`, and keeps this map.
     ///
     /// `None` if nothing did. If there was no map before, or one with other cells, no update can tell: then it has no base.

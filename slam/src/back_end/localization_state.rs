@@ -1,28 +1,28 @@
 //! Location of the robot in its map: the current mode, and the localizer or relocalizer at work.
 
 use crate::localizer::Localizer;
-use crate::relocalize::{PoseEstimate, RelocalizationCounts, Relocalizer};
+use crate::relocalize::{LocalFrameEstimate, RelocalizationCounts, Relocalizer};
 use msg::SlamMode;
 
 /// Location of the robot in its map.
-pub(super) struct RobotLocation {
+pub(super) struct LocalizationState {
     /// Mode of SLAM: mapping, localization or lifelong mapping.
     pub mode: SlamMode,
     /// In localization: tracks the robot in the fixed map, instead of a growing graph.
     pub localizer: Option<Localizer>,
     /// While the robot is not located: searches the whole map.
     pub relocalizer: Option<Relocalizer>,
-    /// While the newest node's component is disconnected: searches the whole map for it.
+    /// While the newest node's component is untied: searches the whole map for it.
     pub component_relocalizer: Option<Relocalizer>,
     /// Counts of searches, while no relocalizer is at work.
     pub relocalization: RelocalizationCounts,
     /// Pose of the next node, if it does not follow from the node before.
-    pub next_pose: Option<PoseEstimate>,
+    pub next_pose: Option<LocalFrameEstimate>,
     /// The newest node is the one that located the robot.
     pub just_located: bool,
 }
 
-impl RobotLocation {
+impl LocalizationState {
     pub fn new() -> Self {
         Self {
             mode: SlamMode::Mapping,

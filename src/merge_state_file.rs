@@ -67,7 +67,7 @@ enum SaveError {
 }
 
 /// Writes the state to the file when it has changed.
-pub struct MergeMemory<S> {
+pub struct MergeStateFile<S> {
     storage: S,
     path: PathBuf,
     run: u64,
@@ -78,7 +78,7 @@ pub struct MergeMemory<S> {
     said: Option<String>,
 }
 
-impl<S: Storage> MergeMemory<S> {
+impl<S: Storage> MergeStateFile<S> {
     /// Restores what an earlier process of this run saved. A file that cannot be used is reported and
     /// ignored.
     pub fn restore(run: &Run, storage: S, fleet: &mut FleetPoseGraph) -> Self {
@@ -167,7 +167,7 @@ mod tests {
         let path = folder.path().join(FILE);
         assert!(restore(&DiskStorage, &path, 7, &mut fresh(2)).unwrap().is_none());
         let fleet = pinned();
-        let mut memory = MergeMemory {
+        let mut memory = MergeStateFile {
             storage: DiskStorage,
             path: path.clone(),
             run: 7,
@@ -241,7 +241,7 @@ mod tests {
         std::fs::write(folder.path().join("run"), "").unwrap();
         let path = folder.path().join("run").join(FILE);
         let mut memory =
-            MergeMemory { storage: DiskStorage, path, run: 7, kept: None, due: Monotonic(0), said: None };
+            MergeStateFile { storage: DiskStorage, path, run: 7, kept: None, due: Monotonic(0), said: None };
         memory.save(&pinned(), Monotonic(1));
         assert!(memory.said.is_some() && memory.due > Monotonic(1));
     }

@@ -1,7 +1,7 @@
 //! Tests that a robot is no obstacle in the merged map, neither where it has driven nor where it stands.
 
-use super::tests::{RESOLUTION_M, at, grid, map, merger, pose, robot};
-use super::*;
+use super::{RESOLUTION_M, at, grid, map, merger, pose, robot};
+use crate::merger::*;
 use msg::grid::{LOG_ODDS_MAX, LOG_ODDS_MIN, Occupancy, SWEPT_FREE, occupancy};
 use proptest::prelude::*;
 
