@@ -153,7 +153,7 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
     let (field_a, field_b) = (DistanceField::new(points_a, a, walls), DistanceField::new(points_b, b, walls));
     let fields = [&field_a, &field_b];
     let places = refine_candidates(fields, &candidates);
-    let (best, margins) = CandidateVerifier::new(fields).choose_place(&places, config)?;
+    let (best, margins) = CandidateVerifier::new(fields).choose(&places, config)?;
     let a_from_b =
         field_a.points.frame_from_centred * best.fine.a_from_b * field_b.points.frame_from_centred.inverse();
     Some(judge([a, b], a_from_b, &best, margins, config))
@@ -191,11 +191,7 @@ impl<'a> CandidateVerifier<'a> {
     }
 
     /// Returns the best place with its margins over all others.
-    fn choose_place(
-        &self,
-        places: &[WallMatch],
-        config: &AlignConfig,
-    ) -> Option<(RefinedCandidate, Margins)> {
+    fn choose(&self, places: &[WallMatch], config: &AlignConfig) -> Option<(RefinedCandidate, Margins)> {
         let finalists = places.iter().take(FINALISTS).map(|coarse| refine_finely(self.fields, coarse));
         let best = self.place(finalists.max_by(|x, y| x.score().total_cmp(&y.score()))?);
         let is_other = |other: &&WallMatch| !is_same_place(other.a_from_b, best.fine.a_from_b);

@@ -56,6 +56,11 @@ pub fn occupancy(cell: i8) -> Occupancy {
     }
 }
 
+/// Returns how many cells are not [`UNKNOWN`].
+pub fn known_count(cells: &[i8]) -> usize {
+    cells.iter().filter(|cell| **cell != UNKNOWN).count()
+}
+
 /// Returns nav_msgs/OccupancyGrid's trinary value for each cell value, indexed by the cell's bits (`cell as u8`).
 ///
 /// A value is 0 for free, 100 for occupied and -1 for unknown, as SLAM Toolbox and map_server publish maps.

@@ -252,7 +252,7 @@ mod tests {
         // 15 m x 10 m, give or take the border cells of the turned half.
         assert!((298..=304).contains(&whole.header.width), "{:?}", whole.header);
         assert!((198..=204).contains(&whole.header.height), "{:?}", whole.header);
-        let known = whole.cells.iter().filter(|cell| **cell != msg::grid::UNKNOWN).count();
+        let known = msg::grid::known_count(&whole.cells);
         assert!((58_000..62_000).contains(&known), "{known}");
     }
 

@@ -12,6 +12,7 @@ use crate::ports::ReadMapPort;
 use crate::process::Error;
 use crate::sessions;
 use crate::storage::Storage;
+use msg::grid::known_count;
 use msg::{Correction, GridView, GroundTruth, Monotonic, Pose2, RobotId, Stamp, TrackingState};
 use sha2::{Digest, Sha256};
 use std::collections::VecDeque;
@@ -215,7 +216,7 @@ impl Lockstep {
             let (Some(_), Some(robot)) = (member.slam(), member.robot) else { continue };
             let saved = self.saved[robot.index()];
             let (_, reader, _) = &self.observer.maps[robot.index()];
-            let known: usize = reader.map().tiles().map(|tile| count(&tile.cells)).sum();
+            let known: usize = reader.map().tiles().map(|tile| known_count(&tile.cells)).sum();
             if (known as f64) < KNOWN_SHARE_MIN * saved as f64 {
                 violations.push(format!("{robot}'s map has {known} known cells; {saved} were saved"));
             }
@@ -225,11 +226,7 @@ impl Lockstep {
 }
 
 fn known_cells(map: GridView<'_>) -> usize {
-    count(map.cells)
-}
-
-pub(super) fn count(cells: &[i8]) -> usize {
-    cells.iter().filter(|cell| **cell != msg::grid::UNKNOWN).count()
+    known_count(map.cells)
 }
 
 /// Result of a run with faults.

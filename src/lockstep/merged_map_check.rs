@@ -1,11 +1,12 @@
 //! Checks that the merged map does not shrink when its process is started again.
 
 use super::Lockstep;
-use super::invariants::{KNOWN_SHARE_MIN, count};
+use super::invariants::KNOWN_SHARE_MIN;
 use super::members::Member;
 use crate::merge_maps;
 use crate::ports::ReadMapPort as _;
 use crate::storage::Storage as _;
+use msg::grid::known_count;
 use msg::{Monotonic, RobotId, Role};
 use std::time::Duration;
 
@@ -76,5 +77,5 @@ fn are_written(fleet: &Lockstep, known: &[usize]) -> bool {
 /// Returns the known cells of each robot's map, then of the merged map.
 fn known_cells(fleet: &Lockstep) -> Vec<usize> {
     let maps = fleet.observer.maps.iter();
-    maps.map(|(_, reader, _)| reader.map().tiles().map(|tile| count(&tile.cells)).sum()).collect()
+    maps.map(|(_, reader, _)| reader.map().tiles().map(|tile| known_count(&tile.cells)).sum()).collect()
 }

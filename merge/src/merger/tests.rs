@@ -4,7 +4,7 @@ mod peers;
 
 use super::*;
 use core::f64::consts::FRAC_PI_2;
-use msg::grid::{Occupancy, UNKNOWN, occupancy};
+use msg::grid::{Occupancy, UNKNOWN, known_count, occupancy};
 use msg::{Grid, GridHeader, Stamp};
 use proptest::prelude::*;
 
@@ -122,7 +122,7 @@ fn thin_walls_survive_finer_cells_and_coarse_cells_leave_no_holes() {
     merger.remove_map(robot(1));
     let coarse = grid(Pose2::new(-1.0, -1.0, 0.4), 0.2, 10, vec![-50; 100]);
     merger.update_map(robot(2), coarse.view()).unwrap();
-    let known = merger.merged().cells.iter().filter(|cell| **cell != UNKNOWN).count();
+    let known = known_count(merger.merged().cells);
     assert!((1590..1610).contains(&known), "4 square metres are 1600 cells, not {known}");
 }
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::testing::{house, within};
-use msg::grid::UNKNOWN;
+use msg::grid::{UNKNOWN, known_count};
 use msg::{Grid, GridHeader};
 use proptest::prelude::*;
 
@@ -18,7 +18,7 @@ fn shifted(grid: &Grid) -> Grid {
 fn a_map_is_consistent_with_itself() {
     let map = house();
     let same = compare(map.view(), map.view(), Pose2::IDENTITY).unwrap();
-    let known = map.cells.iter().filter(|cell| **cell != UNKNOWN).count() as f64;
+    let known = known_count(&map.cells) as f64;
     assert_eq!(
         (same.agreement, same.agreement_near, same.occupied_f1, same.overlap_share),
         (1.0, 1.0, 1.0, 1.0)
