@@ -25,7 +25,7 @@ pub struct LockstepArgs {
     /// Options that describe the fleet.
     #[command(flatten)]
     pub fleet: FleetArgs,
-    /// Duration of the run in virtual time, seconds
+    /// Duration of the run in virtual time, seconds; an exploration ends it
     #[arg(long, value_name = "S", default_value_t = 60)]
     pub seconds: u32,
     /// Drive the robots one after the other, as one operator would, and not all at once
@@ -73,7 +73,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
         if second % 10 == 9 {
             output::note(&format!("{} of {} s", second + 1, args.seconds));
         }
-        if stop.requested() {
+        if stop.requested() || exploration.as_ref().is_some_and(WatchedExploration::has_ended) {
             break;
         }
     }

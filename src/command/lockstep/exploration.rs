@@ -39,13 +39,18 @@ impl WatchedExploration {
 
     /// Counts a second of the run.
     pub(super) fn end_second(&mut self) {
-        if self.newest.status().is_final() {
+        if self.has_ended() {
             return;
         }
         self.seconds += 1;
         for (index, lost_s) in self.lost_s.iter_mut().enumerate() {
             *lost_s += u32::from(self.newest.robot(index) == ExplorerState::Lost);
         }
+    }
+
+    /// Whether the exploration has ended.
+    pub(super) fn has_ended(&self) -> bool {
+        self.newest.status().is_final()
     }
 
     /// What the exploration came to until now.
