@@ -1,7 +1,7 @@
 //! The merge process: receives the robots' maps, and publishes the merged map and the map transforms.
 //!
 //! One thread draws the map. The fleet's pose graph, which estimates the transforms and redraws deformed maps, is on a
-//! second thread ([`graph`]).
+//! second thread ([`graph_worker`]).
 
 use super::graph_worker::{self, FleetEstimate, FleetEstimateSlot, GraphWorkerParts, RobotMapEstimate};
 use super::heartbeat::{HealthCounters, Heartbeat};
