@@ -33,7 +33,7 @@ use msg::{FleetStats, Header, Monotonic, OperatorAction, RobotId, Sender, Veloci
 use ros_messages::{Bool, Int32, RobotNames, Twist};
 use std::net::SocketAddr;
 
-use admission::ClosingClients;
+use admission::AdmissionState;
 pub use admission::{ClientSelector, ConnectError, SelectorError};
 
 /// The robot that is selected at start.
@@ -72,7 +72,7 @@ pub struct Core {
     /// The newest figures of telemetry, for the operator's page.
     pub stats: Option<Box<FleetStats>>,
     /// The clients that are being dropped.
-    departures: ClosingClients,
+    admission: AdmissionState,
 }
 
 impl Core {
@@ -98,7 +98,7 @@ impl Core {
             config,
             world,
             stats: None,
-            departures: ClosingClients::default(),
+            admission: AdmissionState::default(),
         };
         core.send_velocities();
         core.publish_selected();

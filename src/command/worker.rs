@@ -31,7 +31,7 @@ enum Role {
 }
 
 /// Ends the process when any of its threads or tasks panics, after the message. What is left without one of them would look
-/// alive: a bridge without its upkeep stops no robot. The supervisor starts the process again.
+/// alive: a bridge without its periodic tasks stops no robot. The supervisor starts the process again.
 pub(super) fn abort_on_panic() {
     let say = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {

@@ -145,7 +145,7 @@ impl Lockstep {
         let bridge = self.members.iter().filter(|member| member.frozen_until <= now);
         let Some(process) = bridge.filter_map(|member| member.bridge()).next() else { return false };
         // The files are in memory: the answer is there at once.
-        let answer = pin!(answer(&process.upkeep.control, request, || now));
+        let answer = pin!(answer(&process.periodic_tasks.control, request, || now));
         matches!(answer.poll(&mut Context::from_waker(Waker::noop())), Poll::Ready(Ok(_)))
     }
 

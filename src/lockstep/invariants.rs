@@ -13,7 +13,7 @@ use crate::process::Error;
 use crate::sessions;
 use crate::storage::Storage;
 use msg::grid::known_count;
-use msg::{Correction, GridView, GroundTruth, Monotonic, Pose2, RobotId, Stamp, TrackingState};
+use msg::{Correction, GroundTruth, Monotonic, Pose2, RobotId, Stamp, TrackingState};
 use sha2::{Digest, Sha256};
 use std::collections::VecDeque;
 
@@ -171,7 +171,7 @@ impl Lockstep {
             let mode = session.mode;
             let (_, mut back) =
                 slam::begin(run.config.slam.clone(), Some(session), mode, slam::InitialPose::Continue);
-            known_cells(back.map())
+            known_count(back.map().cells)
         })
     }
 
@@ -223,10 +223,6 @@ impl Lockstep {
         }
         violations
     }
-}
-
-fn known_cells(map: GridView<'_>) -> usize {
-    known_count(map.cells)
 }
 
 /// Result of a run with faults.

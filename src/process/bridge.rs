@@ -45,7 +45,7 @@ pub struct BridgeProcess<P: Ports, W: FileWorker> {
     /// Feeds of the topics.
     pub feeds: Vec<Feed<P::Listener>>,
     /// What is due with time.
-    pub upkeep: PeriodicTasks<P, W>,
+    pub periodic_tasks: PeriodicTasks<P, W>,
 }
 
 impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
@@ -79,17 +79,17 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
             feeds.push(forward(ports, &bridge, &channel::slam_response(robot), receive)?);
             feeds.push(navigation_velocities(ports, &bridge, robot)?);
         }
-        let (clock, bridge_of_upkeep) = (ports.clock(), bridge.clone());
-        let upkeep =
-            PeriodicTasks { bridge: bridge_of_upkeep, control, goals, exploration, zones, heartbeat, clock };
-        Ok(Self { bridge, feeds, upkeep })
+        let (clock, bridge_of_tasks) = (ports.clock(), bridge.clone());
+        let periodic_tasks =
+            PeriodicTasks { bridge: bridge_of_tasks, control, goals, exploration, zones, heartbeat, clock };
+        Ok(Self { bridge, feeds, periodic_tasks })
     }
 }
 
 impl<P: Ports, W: FileWorker> ProcessLoop for BridgeProcess<P, W> {
     fn step(&mut self) -> Monotonic {
         let due = self.feeds.iter_mut().map(ProcessLoop::step).min();
-        self.upkeep.step().min(due.unwrap_or(Monotonic(u64::MAX)))
+        self.periodic_tasks.step().min(due.unwrap_or(Monotonic(u64::MAX)))
     }
 }
 
@@ -127,12 +127,12 @@ impl<P: Ports, W: FileWorker> ProcessLoop for PeriodicTasks<P, W> {
     }
 }
 
-/// Writers of the robots' goals, shared by the bridge and its upkeep.
+/// Writers of the robots' goals, shared by the bridge and its periodic tasks.
 type GoalWriters<P> = Rc<RefCell<Vec<<P as Ports>::Writer<NavigationCommand>>>>;
 /// Writer of one channel, shared likewise.
 type SharedWriter<P, M> = Rc<RefCell<<P as Ports>::Writer<M>>>;
 
-/// Opens a channel that the bridge and its upkeep write to.
+/// Opens a channel that the bridge and its periodic tasks write to.
 fn open_shared<P: Ports, M: Message>(
     ports: &P,
     channel: &Channel<M>,

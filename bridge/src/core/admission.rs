@@ -98,7 +98,7 @@ const EVENTS_MAX: usize = 16;
 
 /// The newest time that the bridge was called with, the clients that are being dropped, and what is to be told.
 #[derive(Default)]
-pub struct ClosingClients {
+pub struct AdmissionState {
     now: Monotonic,
     /// What is left to send to clients that were dropped: the reason comes last.
     leaving: VecDeque<(ClientId, OutgoingQueue)>,
@@ -142,7 +142,7 @@ impl Core {
 
     /// Returns for how long a client has sent nothing.
     pub fn silence_of(&self, client: &Client) -> Duration {
-        Duration::from_nanos(self.departures.now.since(client.input.last_at))
+        Duration::from_nanos(self.admission.now.since(client.input.last_at))
     }
 
     /// Returns the clients that have sent something within `silence_s`.
@@ -153,7 +153,7 @@ impl Core {
 
     /// Records the time of the call; a client that is being served was heard then.
     pub(super) fn record_received(&mut self, id: Option<ClientId>, now: Monotonic) {
-        self.departures.now = self.departures.now.max(now);
+        self.admission.now = self.admission.now.max(now);
         if let Some(client) = id.and_then(|id| self.router.client_mut(id)) {
             client.input.last_at = now;
         }
@@ -161,7 +161,7 @@ impl Core {
 
     /// Sets when a client connected: about now.
     pub(super) fn record_connected(&mut self, id: ClientId) {
-        let now = self.departures.now;
+        let now = self.admission.now;
         if let Some(client) = self.router.client_mut(id) {
             (client.input.connected_at, client.input.last_at) = (now, now);
         }
@@ -284,14 +284,14 @@ impl Core {
 
     /// Records an event for the operator's log.
     pub(crate) fn report(&mut self, event: String) {
-        if self.departures.events.len() < EVENTS_MAX {
-            self.departures.events.push(event);
+        if self.admission.events.len() < EVENTS_MAX {
+            self.admission.events.push(event);
         }
     }
 
     /// Takes the events for the operator's log.
     pub fn take_events(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.departures.events)
+        std::mem::take(&mut self.admission.events)
     }
 
     /// Drops the clients that a person names; returns how many there were.
@@ -311,10 +311,10 @@ impl Core {
         self.router.refuse(id, reason);
         let Some(mut unsent) = self.disconnect(id) else { return };
         unsent.keep_last_words();
-        if self.departures.leaving.len() == LEAVING_MAX {
-            self.departures.leaving.pop_front();
+        if self.admission.leaving.len() == LEAVING_MAX {
+            self.admission.leaving.pop_front();
         }
-        self.departures.leaving.push_back((id, unsent));
+        self.admission.leaving.push_back((id, unsent));
     }
 
     /// Appends the frames that wait for a client of this process to `out`; those of a dropped client once.
@@ -328,8 +328,8 @@ impl Core {
 
     /// Takes what is left to send to a client that was dropped.
     pub fn take_unsent(&mut self, id: ClientId) -> Option<OutgoingQueue> {
-        let place = self.departures.leaving.iter().position(|(of, _)| *of == id)?;
-        self.departures.leaving.remove(place).map(|(_, unsent)| unsent)
+        let place = self.admission.leaving.iter().position(|(of, _)| *of == id)?;
+        self.admission.leaving.remove(place).map(|(_, unsent)| unsent)
     }
 }
 

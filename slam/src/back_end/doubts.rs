@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 
 /// Older nodes that a node is compared with.
 const COMPARED_NODES: usize = 4;
-/// Two witnesses are at least this far apart in order.
-const WITNESS_SPREAD: u32 = 3;
+/// Two compared nodes are at least this far apart in order.
+const COMPARED_SPREAD: u32 = 3;
 /// Nodes nearer to each other in order than this are of one pass and say the same.
 const SAME_PASS_NODES: u32 = 12;
 /// Scans from afar see other sides of things: a metre between viewpoints counts so much as a metre between what is looked at.
@@ -151,17 +151,17 @@ impl BackEnd {
             })
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut witnesses: Vec<u32> = Vec::with_capacity(COMPARED_NODES);
+        let mut compared: Vec<u32> = Vec::with_capacity(COMPARED_NODES);
         for (_, other) in near {
-            if witnesses.iter().all(|witness| witness.abs_diff(other) >= WITNESS_SPREAD) {
-                witnesses.push(other);
+            if compared.iter().all(|earlier| earlier.abs_diff(other) >= COMPARED_SPREAD) {
+                compared.push(other);
             }
-            if witnesses.len() == COMPARED_NODES {
+            if compared.len() == COMPARED_NODES {
                 break;
             }
         }
         let mut comparison: Option<NodeComparison> = None;
-        for other in witnesses {
+        for other in compared {
             let other_from_node = poses[other as usize].between(here);
             let cloud = &self.nodes[other as usize].cloud;
             let agreement = WallAgreement::both_ways(cloud, &node.cloud, other_from_node);

@@ -39,7 +39,7 @@ async fn serve(
     stop: &Stop,
     listeners: PageListeners,
 ) -> Result<(), Error> {
-    let BridgeProcess { bridge, feeds, upkeep } =
+    let BridgeProcess { bridge, feeds, periodic_tasks } =
         BridgeProcess::open(participant, run, DiskStorage, FileThread::start)?;
     let mut tasks = start_feeds(feeds)?;
     if run.config.bridge.dds.enabled {
@@ -51,8 +51,8 @@ async fn serve(
         let page = page::serve(bridge.clone(), config, Some(room), Some(save_tlx), listeners);
         tasks.push(spawn_local(page));
     }
-    tasks.push(spawn_local(control::serve(control::listen(run)?, upkeep.control.clone())));
-    tasks.push(spawn_local(run_upkeep(upkeep)));
+    tasks.push(spawn_local(control::serve(control::listen(run)?, periodic_tasks.control.clone())));
+    tasks.push(spawn_local(run_periodic_tasks(periodic_tasks)));
     let progress = run.progress(Role::Bridge, None, WatchedThread::Main);
     serve_clients(bridge, inherited_listener()?, now, stop_requested(stop.clone(), progress)).await;
     tasks.iter().for_each(JoinHandle::abort);
@@ -86,10 +86,10 @@ pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
     }
 }
 
-/// Calls the upkeep whenever it is due. It is a task of its own, so that robots stop in time whatever clients do.
-async fn run_upkeep<P: Ports, W: FileWorker>(mut upkeep: PeriodicTasks<P, W>) {
+/// Runs the periodic tasks whenever they are due. It is a task of its own, so that robots stop in time whatever clients do.
+async fn run_periodic_tasks<P: Ports, W: FileWorker>(mut periodic_tasks: PeriodicTasks<P, W>) {
     loop {
-        let due = upkeep.step();
+        let due = periodic_tasks.step();
         event_loop::sleep_until(due).await;
     }
 }
