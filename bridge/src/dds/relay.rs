@@ -84,7 +84,7 @@ impl TopicRelay {
     pub fn guids(&self) -> (Vec<GUID>, Vec<GUID>) {
         (
             self.readers.values().map(|reader| reader.reader.guid()).collect(),
-            self.writers.values().map(TopicWriter::guid).collect(),
+            self.writers.values().filter_map(TopicWriter::guid).collect(),
         )
     }
 

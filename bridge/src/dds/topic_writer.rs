@@ -66,7 +66,7 @@ pub fn apply_event<'a>(
         let result = match event {
             // The endpoint's own reader of a name that is command and state takes nothing.
             RemoteReaderMatched { local_writer, remote_reader }
-                if writer.guid() == *local_writer && remote_reader.prefix != local_writer.prefix =>
+                if writer.guid() == Some(*local_writer) && remote_reader.prefix != local_writer.prefix =>
             {
                 writer.add_reader(*remote_reader, now)
             }
@@ -107,7 +107,8 @@ pub struct TopicWriter {
     publisher: Publisher,
     topic: Topic,
     qos: QosPolicies,
-    writer: RawWriter,
+    /// None if RustDDS could not create it; it is tried again with each tick.
+    writer: Option<RawWriter>,
     readers: BTreeSet<GUID>,
     latched: Option<Latched>,
     blocked_since: Option<Monotonic>,
@@ -124,7 +125,7 @@ impl TopicWriter {
             publisher: publisher.clone(),
             topic,
             qos,
-            writer,
+            writer: Some(writer),
             readers: BTreeSet::new(),
             latched: is_latched.then(Latched::default),
             blocked_since: None,
@@ -133,8 +134,8 @@ impl TopicWriter {
     }
 
     /// Returns the identifier of the present writer.
-    pub fn guid(&self) -> GUID {
-        self.writer.guid()
+    pub fn guid(&self) -> Option<GUID> {
+        self.writer.as_ref().map(RTPSEntity::guid)
     }
 
     /// Returns the number of readers.
@@ -186,7 +187,8 @@ impl TopicWriter {
     }
 
     fn write_now(&mut self, now: Monotonic, bytes: Bytes) -> WriteOutcome {
-        match self.writer.write(SerializedMessage(bytes), Some(Timestamp::now())) {
+        let Some(writer) = &self.writer else { return WriteOutcome::Dropped };
+        match writer.write(SerializedMessage(bytes), Some(Timestamp::now())) {
             Ok(()) => {
                 self.blocked_since = None;
                 WriteOutcome::Written
@@ -237,25 +239,30 @@ impl TopicWriter {
         Ok(must_replace)
     }
 
-    /// Retries a latched message, and replaces a writer that a reader has blocked for long; returns whether it did.
+    /// Retries a latched message, and replaces a writer that a reader has blocked for long or that could not be
+    /// created; returns whether it did.
     pub fn retry(&mut self, now: Monotonic) -> CreateResult<bool> {
         let is_stuck = self.blocked_since.is_some_and(|since| now >= since + BLOCKED_MAX);
-        if is_stuck {
+        let must_replace = is_stuck || self.writer.is_none();
+        if must_replace {
             self.replace_writer()?;
         }
         self.write_latched(now);
-        Ok(is_stuck)
+        Ok(must_replace)
     }
 
     /// Creates a new writer without old messages; DDS matches the readers with it anew.
+    ///
+    /// The old one is dropped first: a writer takes up to 11 ms to create, in which the old one would send its messages.
     fn replace_writer(&mut self) -> CreateResult<()> {
-        self.writer = self.publisher.create_datawriter_no_key(&self.topic, Some(self.qos.clone()))?;
+        self.writer = None;
         self.readers.clear();
         self.blocked_since = None;
         if let Some(latched) = &mut self.latched {
             latched.is_due = latched.newest.is_some();
             latched.written = 0;
         }
+        self.writer = Some(self.publisher.create_datawriter_no_key(&self.topic, Some(self.qos.clone()))?);
         Ok(())
     }
 }

@@ -96,7 +96,7 @@ impl TopicWriters {
 
     /// Returns the writers' identifiers.
     pub fn guids(&self) -> impl Iterator<Item = GUID> + '_ {
-        self.writers.iter().map(TopicWriter::guid)
+        self.writers.iter().filter_map(TopicWriter::guid)
     }
 
     /// Publishes a velocity to a robot of an external world.
@@ -149,7 +149,7 @@ impl TopicWriters {
         let DomainParticipantStatusEvent::RemoteReaderMatched { local_writer, .. } = event else {
             return None;
         };
-        let is_matched = |(index, _): &(usize, bool)| self.writers[*index].guid() == *local_writer;
+        let is_matched = |(index, _): &(usize, bool)| self.writers[*index].guid() == Some(*local_writer);
         let robot = self.velocity.iter().position(|writers| writers.iter().any(is_matched))?;
         RobotId::new(robot + 1)
     }
