@@ -166,8 +166,8 @@ impl Message for SaveMapResponse {}
 fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
     run(async {
         let config = config(75);
-        let link = Arc::new(DdsQueues::default());
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
+        let queues = Arc::new(DdsQueues::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, queues.clone()).unwrap());
         let bridge = Rc::new(Bridge::new(config.clone(), 1, |_, _| {}).unwrap());
         // SLAM saves the map that is named `monday` only.
         let answering = Rc::downgrade(&bridge);
@@ -181,7 +181,7 @@ fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
                 answering.upgrade().map(|bridge| bridge.receive_slam_response(robot, &answer, true))
             });
         });
-        connect(&bridge, &endpoint, link);
+        connect(&bridge, &endpoint, queues);
         let mut other = node(&config);
         let client = other
             .create_client::<SaveMapRequest, SaveMapResponse>(
@@ -212,8 +212,8 @@ fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
 fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
     run(async {
         let config = config(50);
-        let link = Arc::new(DdsQueues::default());
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
+        let queues = Arc::new(DdsQueues::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, queues.clone()).unwrap());
         let commands = Rc::new(RefCell::new(Vec::<VelocityCommand>::new()));
         let taken = commands.clone();
         let bridge = Rc::new(
@@ -223,7 +223,7 @@ fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
         spawn_local(endpoint.clone().serve());
         spawn_local(async move {
             loop {
-                receiver.receive_ros(link.next_event().await, process_clock());
+                receiver.receive_ros(queues.next_event().await, process_clock());
             }
         });
         let mut other = node(&config);
@@ -247,13 +247,13 @@ fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
 }
 
 /// Passes what the endpoint and the bridge tell each other.
-fn connect(bridge: &Rc<Bridge>, endpoint: &Rc<DdsEndpoint>, link: Arc<DdsQueues>) {
-    let (receiver, commands) = (bridge.clone(), link.clone());
+fn connect(bridge: &Rc<Bridge>, endpoint: &Rc<DdsEndpoint>, queues: Arc<DdsQueues>) {
+    let (receiver, commands) = (bridge.clone(), queues.clone());
     bridge.on_ros_command(move |command| commands.send_command(command));
     spawn_local(endpoint.clone().serve());
     spawn_local(async move {
         loop {
-            receiver.receive_ros(link.next_event().await, process_clock());
+            receiver.receive_ros(queues.next_event().await, process_clock());
         }
     });
 }
@@ -263,13 +263,13 @@ fn a_robot_stops_at_once_when_its_writer_is_gone_and_the_stop_can_be_read() {
     run(async {
         let mut config = config(12);
         config.velocity.timeout_s = 10.0;
-        let link = Arc::new(DdsQueues::default());
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
+        let queues = Arc::new(DdsQueues::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, queues.clone()).unwrap());
         let commands = Rc::new(RefCell::new(Vec::<f64>::new()));
         let taken = commands.clone();
         let take = move |_, command: VelocityCommand| taken.borrow_mut().push(command.linear_m_s);
         let bridge = Rc::new(Bridge::new(config.clone(), 1, take).unwrap());
-        connect(&bridge, &endpoint, link);
+        connect(&bridge, &endpoint, queues);
         let mut other = node(&config);
         let qos = QosProfile::publisher_default();
         let name = Name::parse("/cmd_vel").unwrap();
@@ -306,14 +306,14 @@ fn a_robot_stops_at_once_when_its_writer_is_gone_and_the_stop_can_be_read() {
 fn an_external_robot_that_begins_to_listen_is_sent_a_zero() {
     run(async {
         let config = config(37);
-        let link = Arc::new(DdsQueues::default());
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, true, link.clone()).unwrap());
+        let queues = Arc::new(DdsQueues::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, true, queues.clone()).unwrap());
         let robots = endpoint.clone();
         let send = move |robot, command: VelocityCommand| robots.publish_velocity(robot, &command);
         let world = ExternalWorld::new(1, |_| {});
         let bridge =
             Bridge::with_external_world(config.clone(), world, |now| Stamp(now.0 as i64), send).unwrap();
-        connect(&Rc::new(bridge), &endpoint, link);
+        connect(&Rc::new(bridge), &endpoint, queues);
         let mut other = node(&config);
         let qos = QosProfile::publisher_default();
         let name = Name::parse("/robot1/cmd_vel").unwrap();

@@ -43,15 +43,15 @@ impl Ours {
         let domain = (101 + (std::process::id() * 7 + offset) % 100) as u16;
         let dds = DdsConfig { enabled: true, domain: domain.into(), ..DdsConfig::default() };
         let config = BridgeConfig { dds, ..BridgeConfig::default() };
-        let link = Arc::new(DdsQueues::default());
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
+        let queues = Arc::new(DdsQueues::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, queues.clone()).unwrap());
         spawn_local(endpoint.serve());
         let bridge = Rc::new(Bridge::new(config.clone(), 1, |_, _| {}).unwrap());
-        let (commands, receiver) = (link.clone(), bridge.clone());
+        let (commands, receiver) = (queues.clone(), bridge.clone());
         bridge.on_ros_command(move |command| commands.send_command(command));
         spawn_local(async move {
             loop {
-                receiver.receive_ros(link.next_event().await, process_clock());
+                receiver.receive_ros(queues.next_event().await, process_clock());
             }
         });
         let client = bridge.connect(([127, 0, 0, 1], 5000).into()).unwrap();

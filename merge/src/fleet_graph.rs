@@ -141,7 +141,7 @@ impl FleetPoseGraph {
     /// # Errors
     /// [`SubmapRejected`] says why the submap is not taken.
     pub fn add_submap(&mut self, robot: RobotId, submap: &Submap) -> Result<(), SubmapRejected> {
-        self.check_generation(robot, (submap.grid.header.incarnation, submap.generation))?;
+        self.check_source(robot, (submap.grid.header.incarnation, submap.generation))?;
         let added = self.robots[robot.index()].submaps.add(submap);
         if added { Ok(()) } else { Err(SubmapRejected::Malformed(robot)) }
     }
@@ -154,7 +154,7 @@ impl FleetPoseGraph {
     /// [`SubmapRejected`] says why the poses are not taken.
     pub fn update_poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), SubmapRejected> {
         self.check_run(robot, poses.run)?;
-        self.check_generation(robot, (poses.header.incarnation, poses.generation))?;
+        self.check_source(robot, (poses.header.incarnation, poses.generation))?;
         let index = robot.index();
         let submaps = &mut self.robots[index].submaps;
         let changed = submaps.update_poses(poses).ok_or(SubmapRejected::Malformed(robot))?;
@@ -220,13 +220,13 @@ impl FleetPoseGraph {
             .or_else(|| next_check(&self.robots, &mut self.pairs, &self.config).map(Job::Check))
             .or_else(|| next_alignment(&self.robots, &mut self.pairs, &self.config).map(Job::Align))?;
         self.task_is_out = true;
-        Some(Task { generations: self.generations(), job })
+        Some(Task { sources: self.sources(), job })
     }
 
     /// Applies the result of a task.
     pub fn apply_outcome(&mut self, outcome: Outcome) {
         self.task_is_out = false;
-        if outcome.generations != self.generations() {
+        if outcome.sources != self.sources() {
             // A robot's SLAM was restarted meanwhile: the result is about submaps that are gone.
             self.needs_solve = true;
             return;
@@ -345,8 +345,8 @@ impl FleetPoseGraph {
         a.zip(b).map(|(a, b)| a.between(b))
     }
 
-    fn generations(&self) -> Vec<Option<SubmapSource>> {
-        self.robots.iter().map(|robot| robot.submaps.generation()).collect()
+    fn sources(&self) -> Vec<Option<SubmapSource>> {
+        self.robots.iter().map(|robot| robot.submaps.source()).collect()
     }
 
     /// Removes a robot whose machine is in another run than before: the frame of its map is another one.
@@ -360,16 +360,16 @@ impl FleetPoseGraph {
 
     /// Handles submaps of a new generation. A SLAM that was restarted, or that forgets nodes, continues in the same
     /// frame with new submaps: the robot keeps its transform, and loses submaps and closures.
-    fn check_generation(&mut self, robot: RobotId, generation: SubmapSource) -> Result<(), SubmapRejected> {
+    fn check_source(&mut self, robot: RobotId, source: SubmapSource) -> Result<(), SubmapRejected> {
         let index = robot.index();
         let known = self.robots.get_mut(index).ok_or(SubmapRejected::UnknownRobot(robot))?;
-        match known.submaps.generation() {
-            Some(current) if current == generation => return Ok(()),
+        match known.submaps.source() {
+            Some(current) if current == source => return Ok(()),
             None => {
-                known.submaps.set_generation(generation);
+                known.submaps.set_source(source);
                 return Ok(());
             }
-            Some(_) => known.restart(generation),
+            Some(_) => known.restart(source),
         }
         for pair in (0..self.pairs.len()).filter(|pair| robots_of_pair(*pair).contains(&index)) {
             let in_graph = self.relation_in_graph(pair);

@@ -110,10 +110,13 @@ pub enum ExplorerState {
     Lost = 3,
     /// Its scans or poses do not arrive.
     Silent = 4,
+    /// It returns to a place that it knows, because its own has become uncertain.
+    Revisiting = 5,
 }
 
 impl ExplorerState {
-    const ALL: [Self; 5] = [Self::None, Self::Exploring, Self::Manual, Self::Lost, Self::Silent];
+    const ALL: [Self; 6] =
+        [Self::None, Self::Exploring, Self::Manual, Self::Lost, Self::Silent, Self::Revisiting];
 
     /// Returns the state's name in JSON.
     pub fn name(self) -> &'static str {
@@ -123,7 +126,13 @@ impl ExplorerState {
             Self::Manual => "manual",
             Self::Lost => "lost",
             Self::Silent => "silent",
+            Self::Revisiting => "revisiting",
         }
+    }
+
+    /// Returns whether the exploration drives the robot by goals.
+    pub fn is_driven(self) -> bool {
+        matches!(self, Self::Exploring | Self::Revisiting)
     }
 }
 

@@ -25,13 +25,13 @@ const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
 /// Starts the thread; returns the task that passes its messages to the bridge.
 pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error> {
-    let link = Arc::new(DdsQueues::default());
-    let commands = link.clone();
+    let queues = Arc::new(DdsQueues::default());
+    let commands = queues.clone();
     bridge.on_ros_command(move |command| commands.send_command(command));
-    let task = spawn_local(pass_to_bridge(run.clone(), bridge.clone(), link.clone()));
+    let task = spawn_local(pass_to_bridge(run.clone(), bridge.clone(), queues.clone()));
     let (run, stop) = (run.clone(), stop.clone());
     std::thread::Builder::new().name("ros2".into()).spawn(move || {
-        if let Err(why) = serve(&run, &stop, link) {
+        if let Err(why) = serve(&run, &stop, queues) {
             tracing::error!("bridge: {why}; ROS 2 is not served");
         }
     })?;
@@ -39,12 +39,12 @@ pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()
 }
 
 /// Passes received messages to the bridge, and publishes the time until ROS does.
-async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, link: Arc<DdsQueues>) {
+async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, queues: Arc<DdsQueues>) {
     // A simulator such as Gazebo publishes /clock; real robots use the time of day.
     let has_clock = Cell::new(run.config.world != World::Ros);
     let receive = async {
         loop {
-            let event = link.next_event().await;
+            let event = queues.next_event().await;
             has_clock.set(has_clock.get() || event.is_clock());
             bridge.receive_ros(event, now());
         }
@@ -61,18 +61,18 @@ async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, link: Arc<DdsQueues>) {
 }
 
 /// Runs the endpoint until it is asked to stop.
-fn serve(run: &Run, stop: &Stop, link: Arc<DdsQueues>) -> Result<(), Error> {
+fn serve(run: &Run, stop: &Stop, queues: Arc<DdsQueues>) -> Result<(), Error> {
     let mut result = Ok(());
-    event_loop::run(Box::pin(async { result = serve_feeds(run, stop, link).await }))?;
+    event_loop::run(Box::pin(async { result = serve_feeds(run, stop, queues).await }))?;
     result
 }
 
-async fn serve_feeds(run: &Run, stop: &Stop, link: Arc<DdsQueues>) -> Result<(), Error> {
+async fn serve_feeds(run: &Run, stop: &Stop, queues: Arc<DdsQueues>) -> Result<(), Error> {
     // A participant of its own: ports of shared memory stay on the thread that opened them.
     let participant = run.attach_thread(Role::Bridge, None, "ros2")?;
     let is_external = run.config.world == World::Ros;
     let robots = run.config.robot_names();
-    let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge_config(), robots, is_external, link)?);
+    let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge_config(), robots, is_external, queues)?);
     let mut feeds = open_feeds(&participant, run, &endpoint)?;
     for robot in run.robots().filter(|_| is_external) {
         let publish = move |endpoint: &DdsEndpoint, command: &VelocityCommand| {

@@ -8,9 +8,9 @@ use crate::input::{Input, SHARED_GOAL};
 use crate::router::{ClientId, Topic, TopicId};
 use crate::world::{TransformError, floor_pose};
 use msg::{
-    ExclusionZone, ExplorationAction, ExplorationCommand, ExplorationReport, ExplorerState, GOAL_POSES_MAX,
-    Link, Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport,
-    NavigationStatus, RobotId, Sender, VelocityCommand, ZoneCommand, ZoneError,
+    ExclusionZone, ExplorationAction, ExplorationCommand, ExplorationReport, GOAL_POSES_MAX, Link, Monotonic,
+    NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport, NavigationStatus,
+    RobotId, Sender, VelocityCommand, ZoneCommand, ZoneError,
 };
 use ros_messages::names::{FleetFrame, MAP};
 use ros_messages::read::Transform;
@@ -290,7 +290,7 @@ impl Core {
     pub fn record_exploration(&mut self, report: &ExplorationReport) {
         let robots: Vec<RobotId> = self.fleet.robots().collect();
         for robot in robots {
-            let is_exploring = report.robot(robot.index()) == ExplorerState::Exploring;
+            let is_exploring = report.robot(robot.index()).is_driven();
             self.gate.drive_mut().set_exploring(robot, is_exploring);
             if self.gate.drive().is_stopped() {
                 self.pause_navigation([robot]);

@@ -3,7 +3,7 @@
 use super::entities::{EndpointError, EntityFactory, RawReader, cannot_create, join_domain, node_name};
 use super::graph::NodeGraphAnnouncer;
 use super::inputs::{self, InputTopic};
-use super::link::DdsQueues;
+use super::queues::DdsQueues;
 use super::relay::TopicRelay;
 use super::services::ServiceRelay;
 use super::writers::TopicWriters;
@@ -47,7 +47,7 @@ pub struct DdsEndpoint {
     state: RefCell<EndpointState>,
     inputs: Vec<(InputTopic, Rc<RawReader>)>,
     participant: DomainParticipant,
-    link: Arc<DdsQueues>,
+    queues: Arc<DdsQueues>,
     started: Instant,
     /// Time between two repetitions of the transforms map -> odom.
     transform_period: Option<Duration>,
@@ -62,7 +62,7 @@ struct EndpointState {
     input_guids: Vec<GUID>,
     /// The writer of another participant that sent the last velocity.
     last_driver: Option<GUID>,
-    link: Arc<DdsQueues>,
+    queues: Arc<DdsQueues>,
     /// Whether readers or writers have come or gone that the graph does not show yet.
     is_graph_due: bool,
 }
@@ -71,12 +71,12 @@ impl DdsEndpoint {
     /// Joins the domain and creates every topic. Blocks for a moment.
     ///
     /// `is_external`: the robots are ROS's own. Their scans, odometry and time are received, and velocities published.
-    /// `link`: the link to the bridge.
+    /// `queues`: the queues to the bridge.
     pub fn open(
         config: &BridgeConfig,
         robots: impl Into<RobotNames>,
         is_external: bool,
-        link: Arc<DdsQueues>,
+        queues: Arc<DdsQueues>,
     ) -> Result<Self, EndpointError> {
         let robots: RobotNames = robots.into();
         let dds: &DdsConfig = &config.dds;
@@ -97,13 +97,13 @@ impl DdsEndpoint {
         publisher.set_repetition(dds.repetition());
         let state = EndpointState {
             writers,
-            relay: TopicRelay::new(&participant, factory, link.clone()),
+            relay: TopicRelay::new(&participant, factory, queues.clone()),
             publisher,
-            services: ServiceRelay::new(participant.guid(), link.clone()),
+            services: ServiceRelay::new(participant.guid(), queues.clone()),
             graph,
             input_guids: inputs.iter().map(|(_, reader)| reader.guid()).collect(),
             last_driver: None,
-            link: link.clone(),
+            queues: queues.clone(),
             is_graph_due: false,
         };
         state.publish_graph();
@@ -111,7 +111,7 @@ impl DdsEndpoint {
             state: RefCell::new(state),
             inputs,
             participant,
-            link,
+            queues,
             started: Instant::now(),
             transform_period: dds.transform_period(),
         })
@@ -129,14 +129,14 @@ impl DdsEndpoint {
         DdsCounters {
             readers: counted.readers + readers as u32,
             received: counted.received + received + state.services.received(),
-            dropped: counted.dropped + self.link.dropped(),
+            dropped: counted.dropped + self.queues.dropped(),
             ..counted
         }
     }
 
     /// Receives messages, requests and responses until it is dropped. Runs inside a [`tokio::task::LocalSet`].
     ///
-    /// They go to the link, and the bridge's commands come from there.
+    /// They go to the queues, and the bridge's commands come from there.
     pub async fn serve(self: Rc<Self>) {
         let mut tasks = JoinSet::new();
         self.spawn_input_tasks(&mut tasks);
@@ -156,7 +156,7 @@ impl DdsEndpoint {
                     }
                     None => return,
                 },
-                command = self.link.next_command() => self.state.borrow_mut().apply(command, self.now()),
+                command = self.queues.next_command() => self.state.borrow_mut().apply(command, self.now()),
                 _ = tick.tick() => self.state.borrow_mut().tick(self.now()),
                 () = next_tick(&mut repeat) => self.state.borrow_mut().repeat_transforms(self.now()),
             }
@@ -178,7 +178,7 @@ impl DdsEndpoint {
                     }
                     let message = input.message(sample.into_value().0.to_vec());
                     endpoint.state.borrow_mut().record(&message, writer);
-                    endpoint.link.send_event(RosEvent::Input(message));
+                    endpoint.queues.send_event(RosEvent::Input(message));
                 }
             });
         }
@@ -237,7 +237,7 @@ impl EndpointState {
     fn report_drivers(&mut self, event: &DomainParticipantStatusEvent) {
         use DomainParticipantStatusEvent::{ParticipantLost, WriterLost};
         if let Some(robot) = self.writers.new_listener(event) {
-            self.link.send_event(RosEvent::RobotListens(robot));
+            self.queues.send_event(RosEvent::RobotListens(robot));
         }
         let is_gone = |driver: &GUID| match event {
             WriterLost { guid, .. } => driver == guid,
@@ -245,7 +245,7 @@ impl EndpointState {
             _ => false,
         };
         if self.last_driver.take_if(|driver| is_gone(driver)).is_some() {
-            self.link.send_event(RosEvent::DriverLost);
+            self.queues.send_event(RosEvent::DriverLost);
         }
     }
 

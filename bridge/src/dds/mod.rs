@@ -16,8 +16,8 @@ mod endpoint;
 mod entities;
 mod graph;
 mod inputs;
-mod link;
 mod newest;
+mod queues;
 mod raw;
 mod relay;
 mod remote;
@@ -33,5 +33,5 @@ pub use crate::config::{
 pub use crate::relay::ReceivedMessage;
 pub use endpoint::{DdsCounters, DdsEndpoint};
 pub use entities::EndpointError;
-pub use link::DdsQueues;
+pub use queues::DdsQueues;
 pub use raw::{CdrPassthrough, SerializedMessage};

@@ -1,8 +1,8 @@
 //! The readers and writers of topics that clients on TCP use, besides the fleet's, and the topics of ROS nodes.
 
 use super::entities::{EndpointError, EntityFactory, RawReader};
-use super::link::DdsQueues;
 use super::newest::NewestSamples;
+use super::queues::DdsQueues;
 use super::remote::{ReaderQos, RemoteEndpoints};
 use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
 use crate::relay::{RosCommand, RosEvent, RosGraph};
@@ -47,7 +47,7 @@ impl Drop for RelayReader {
 pub struct TopicRelay {
     participant: DomainParticipant,
     factory: EntityFactory,
-    link: Arc<DdsQueues>,
+    queues: Arc<DdsQueues>,
     readers: BTreeMap<Arc<str>, RelayReader>,
     writers: BTreeMap<Arc<str>, TopicWriter>,
     /// Every topic received since the start, with the newest message of each of its writers.
@@ -60,12 +60,12 @@ pub struct TopicRelay {
 
 impl TopicRelay {
     /// Creates the relay without topics.
-    pub fn new(participant: &DomainParticipant, factory: EntityFactory, link: Arc<DdsQueues>) -> Self {
+    pub fn new(participant: &DomainParticipant, factory: EntityFactory, queues: Arc<DdsQueues>) -> Self {
         Self {
             participant: participant.clone(),
             remote: RemoteEndpoints::new(participant.guid(), factory.namespace()),
             factory,
-            link,
+            queues,
             readers: BTreeMap::new(),
             writers: BTreeMap::new(),
             names: BTreeMap::new(),
@@ -165,7 +165,7 @@ impl TopicRelay {
             own: self.participant.guid(),
             of_other_type: of_other_type.clone(),
             newest: self.names.get(topic).cloned().unwrap_or_default(),
-            link: self.link.clone(),
+            queues: self.queues.clone(),
             received: self.received.clone(),
         };
         let task = spawn_local(reception.receive(reader.clone()));
@@ -203,7 +203,7 @@ impl TopicRelay {
         }
         let graph = self.remote.graph();
         if graph != self.graph {
-            self.link.send_event(RosEvent::Graph(graph.clone()));
+            self.queues.send_event(RosEvent::Graph(graph.clone()));
             self.graph = graph;
         }
     }
@@ -233,7 +233,7 @@ impl TopicRelay {
 
     /// Tells the bridge why a topic is not exchanged.
     pub fn report(&self, topic: Arc<str>, why: &EndpointError) {
-        self.link.send_event(RosEvent::Failure { topic, text: why.to_string() });
+        self.queues.send_event(RosEvent::Failure { topic, text: why.to_string() });
     }
 }
 
@@ -252,7 +252,7 @@ struct Reception {
     own: GUID,
     of_other_type: Rc<RefCell<BTreeSet<GUID>>>,
     newest: NewestSamples,
-    link: Arc<DdsQueues>,
+    queues: Arc<DdsQueues>,
     received: Rc<Cell<u64>>,
 }
 
@@ -263,14 +263,14 @@ impl Reception {
         while let Some(sample) = samples.next().await {
             let topic = self.topic.clone();
             let Ok(sample) = sample else {
-                self.link.send_event(RosEvent::OtherEncoding { topic });
+                self.queues.send_event(RosEvent::OtherEncoding { topic });
                 continue;
             };
             let writer = sample.writer_guid();
             let is_foreign = writer.prefix != self.own.prefix;
             if is_foreign && !self.of_other_type.borrow().contains(&writer) && self.newest.is_new(&sample) {
                 self.received.set(self.received.get() + 1);
-                self.link.send_event(RosEvent::Message { topic, payload: sample.into_value().0 });
+                self.queues.send_event(RosEvent::Message { topic, payload: sample.into_value().0 });
             }
         }
     }

@@ -3,8 +3,8 @@
 //! A service has a topic of requests and one of replies, named as ROS 2 does. Requests and responses pass as bytes.
 
 use super::entities::{EndpointError, EntityFactory};
-use super::link::DdsQueues;
 use super::newest::NewestSamples;
+use super::queues::DdsQueues;
 use super::service_endpoint::{Client, SentCalls, Server, ServiceEndpoint, ServiceTopic};
 use super::service_identity as identity;
 use super::topic_writer::stream_qos;
@@ -26,7 +26,7 @@ const NAMES_MAX: usize = 4096;
 /// All services that the bridge offers to ROS, and those that it calls there.
 pub struct ServiceRelay {
     own: GUID,
-    link: Arc<DdsQueues>,
+    queues: Arc<DdsQueues>,
     servers: BTreeMap<Arc<str>, Server>,
     clients: BTreeMap<Arc<str>, Client>,
     /// Every service since the start, with the newest request of each requester.
@@ -36,9 +36,9 @@ pub struct ServiceRelay {
 
 impl ServiceRelay {
     /// Creates the relay without services. `own`: the identifier of this participant.
-    pub fn new(own: GUID, link: Arc<DdsQueues>) -> Self {
+    pub fn new(own: GUID, queues: Arc<DdsQueues>) -> Self {
         let (servers, clients, names) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-        Self { own, link, servers, clients, names, received: Rc::default() }
+        Self { own, queues, servers, clients, names, received: Rc::default() }
     }
 
     /// Returns the identifiers of readers and writers.
@@ -116,8 +116,8 @@ impl ServiceRelay {
         let writer = factory.service_writer(&replies.name, replies.dds_type, &stream_qos(DEPTH))?;
         let reader = factory.service_reader(&requests.name, requests.dds_type, &stream_qos(DEPTH))?;
         let newest = self.names.get(service).cloned().unwrap_or_default();
-        let (own, link, received, service) =
-            (self.own, self.link.clone(), self.received.clone(), service.clone());
+        let (own, queues, received, service) =
+            (self.own, self.queues.clone(), self.received.clone(), service.clone());
         let samples = reader.clone();
         let task = spawn_local(async move {
             let mut samples = std::pin::pin!(samples.as_async_stream());
@@ -128,7 +128,7 @@ impl ServiceRelay {
                 }
                 if let Some((id, payload)) = identity::read_request(sample) {
                     received.set(received.get() + 1);
-                    link.send_event(RosEvent::Request { service: service.clone(), id, payload });
+                    queues.send_event(RosEvent::Request { service: service.clone(), id, payload });
                 }
             }
         });
@@ -147,8 +147,8 @@ impl ServiceRelay {
         let reader = factory.service_reader(&replies.name, replies.dds_type, &stream_qos(DEPTH))?;
         let writer = factory.service_writer(&requests.name, requests.dds_type, &stream_qos(DEPTH))?;
         let sent = SentCalls::default();
-        let (calls, link, received, service) =
-            (sent.clone(), self.link.clone(), self.received.clone(), service.clone());
+        let (calls, queues, received, service) =
+            (sent.clone(), self.queues.clone(), self.received.clone(), service.clone());
         let (samples, of_requests, of_replies) = (reader.clone(), writer.guid(), reader.guid());
         let task = spawn_local(async move {
             let mut samples = std::pin::pin!(samples.as_async_stream());
@@ -159,7 +159,7 @@ impl ServiceRelay {
                 // Of several servers' responses the first counts.
                 if let Some(number) = { calls.borrow_mut().remove(&request) } {
                     received.set(received.get() + 1);
-                    link.send_event(RosEvent::Response { service: service.clone(), number, payload });
+                    queues.send_event(RosEvent::Response { service: service.clone(), number, payload });
                 }
             }
         });
@@ -200,6 +200,6 @@ impl ServiceRelay {
 
     /// Tells the bridge why a service cannot be called or offered.
     pub fn report(&self, service: Arc<str>, why: &EndpointError) {
-        self.link.send_event(RosEvent::ServiceFailure { service, text: why.to_string() });
+        self.queues.send_event(RosEvent::ServiceFailure { service, text: why.to_string() });
     }
 }

@@ -41,9 +41,11 @@ fn a_robot_that_gets_something_to_do_during_the_stop_is_paused() {
     bridge.publish(FleetMessage::NavigationState(robot(1), &report(NavigationStatus::Paused)));
     assert!(commands.borrow().is_empty(), "it is paused");
     let mut exploration = ExplorationReport::default();
-    exploration.robots[1] = ExplorerState::Exploring as u8;
-    bridge.publish(FleetMessage::ExplorationState(&exploration));
-    assert_eq!(commands.take(), [(robot(2), Some(NavigationAction::Pause))]);
+    for state in [ExplorerState::Exploring, ExplorerState::Revisiting] {
+        exploration.robots[1] = state as u8;
+        bridge.publish(FleetMessage::ExplorationState(&exploration));
+        assert_eq!(commands.take(), [(robot(2), Some(NavigationAction::Pause))]);
+    }
     bridge.release_stop();
     assert!(commands.borrow().is_empty(), "the release sets nobody off");
 }

@@ -75,8 +75,8 @@ impl Robot {
     }
 
     /// Empties the submaps for those of a restarted SLAM, which continues in the same frame.
-    pub fn restart(&mut self, generation: SubmapSource) {
-        self.submaps.restart(Some(generation));
+    pub fn restart(&mut self, source: SubmapSource) {
+        self.submaps.restart(Some(source));
         self.estimate.reset_to(self.estimate.transform());
         self.redrawn = None;
     }

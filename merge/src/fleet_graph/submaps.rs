@@ -32,7 +32,7 @@ pub(crate) struct StoredSubmap {
 /// All submaps of one robot, where they lie in the robot's own map, and how its SLAM links them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SubmapStore {
-    generation: Option<SubmapSource>,
+    source: Option<SubmapSource>,
     submaps: Vec<Option<StoredSubmap>>,
     version: u64,
     poses: Vec<Pose2>,
@@ -41,19 +41,19 @@ pub(crate) struct SubmapStore {
 }
 
 impl SubmapStore {
-    /// Empties the store for submaps of another generation.
-    pub fn restart(&mut self, generation: Option<SubmapSource>) {
-        *self = Self { generation, version: self.version + 1, ..Self::default() };
+    /// Empties the store for submaps of another source.
+    pub fn restart(&mut self, source: Option<SubmapSource>) {
+        *self = Self { source, version: self.version + 1, ..Self::default() };
     }
 
-    /// Sets the generation of the first submaps.
-    pub fn set_generation(&mut self, generation: SubmapSource) {
-        self.generation = Some(generation);
+    /// Sets the source of the first submaps.
+    pub fn set_source(&mut self, source: SubmapSource) {
+        self.source = Some(source);
     }
 
-    /// Returns the generation of these submaps; `None` before the first message.
-    pub fn generation(&self) -> Option<SubmapSource> {
-        self.generation
+    /// Returns the source of these submaps; `None` before the first message.
+    pub fn source(&self) -> Option<SubmapSource> {
+        self.source
     }
 
     /// Returns the number of submaps received: two equal versions hold equal submaps.

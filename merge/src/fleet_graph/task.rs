@@ -10,15 +10,15 @@ use posegraph::SolveError;
 /// One task. See [`FleetPoseGraph::next_task`](super::FleetPoseGraph::next_task).
 #[derive(Debug)]
 pub struct Task {
-    /// Generations of the submaps that it uses: a result for other generations is dropped.
-    pub(super) generations: Vec<Option<SubmapSource>>,
+    /// Sources of the submaps that it uses: a result for other sources is dropped.
+    pub(super) sources: Vec<Option<SubmapSource>>,
     pub(super) job: Job,
 }
 
 /// Result of a [`Task`]. See [`FleetPoseGraph::apply_outcome`](super::FleetPoseGraph::apply_outcome).
 #[derive(Debug)]
 pub struct Outcome {
-    pub(super) generations: Vec<Option<SubmapSource>>,
+    pub(super) sources: Vec<Option<SubmapSource>>,
     pub(super) result: JobResult,
 }
 
@@ -55,7 +55,7 @@ impl Task {
             Job::Solve(problem) => JobResult::Solved(problem.solve()),
             Job::Redraw(job) => JobResult::Redrawn(job.run()),
         };
-        Outcome { generations: self.generations, result }
+        Outcome { sources: self.sources, result }
     }
 }
 

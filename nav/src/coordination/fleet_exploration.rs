@@ -2,8 +2,9 @@
 //!
 //! The robots of the merged map share one coordinator. A robot whose map is not merged yet explores its own map.
 
+use super::excluded::is_in_zone;
 use super::lost_robots::LostRobots;
-use super::revisits::Revisits;
+use super::revisits::{RevisitInput, Revisits};
 use super::sent_goal::SentGoal;
 use super::types::{
     CoordinatedRobot, CoordinationInput, CoordinationPhase, ExplorationEnd, FoundLeftover, GoalProgress,
@@ -180,11 +181,8 @@ impl FleetExploration {
         input: &NavigationInput,
         is_silent: &dyn Fn(RobotId) -> bool,
     ) -> CoordinationPhase {
-        let robots: Vec<CoordinatedRobot> = input
-            .robots
-            .iter()
-            .map(|robot| self.describe(navigator, (input.stamp, robot), is_silent))
-            .collect();
+        let robots: Vec<CoordinatedRobot> =
+            input.robots.iter().map(|robot| self.describe(navigator, (input, robot), is_silent)).collect();
         let merged = |robot: &NavigatedRobot| robot.observation.in_merged_map;
         self.maps.retain(|map| {
             let is_of = |robot: &&NavigatedRobot| map.robot == Some(robot.observation.robot);
@@ -214,7 +212,7 @@ impl FleetExploration {
     fn describe(
         &mut self,
         navigator: &FleetNavigator,
-        (now, robot): (Stamp, &NavigatedRobot),
+        (input, robot): (&NavigationInput, &NavigatedRobot),
         is_silent: &dyn Fn(RobotId) -> bool,
     ) -> CoordinatedRobot {
         let id = robot.observation.robot;
@@ -233,8 +231,8 @@ impl FleetExploration {
             _ => RobotAvailability::Free,
         };
         let sent = self.sent[id.index()].as_mut().zip(state);
-        let progress = sent.map_or(GoalProgress::Idle, |(sent, state)| sent.progress(now, state));
-        let availability = self.revisit(now, robot, robot_map_from_base, (availability, progress));
+        let progress = sent.map_or(GoalProgress::Idle, |(sent, state)| sent.progress(input.stamp, state));
+        let availability = self.revisit(input, robot, robot_map_from_base, (availability, progress));
         self.availability[id.index()] = Some(availability);
         let home = map_from_robot_map.zip(self.homes[id.index()]).map(|(map, home)| map * home);
         CoordinatedRobot { robot: id, map_from_base: pose, home, availability, progress }
@@ -243,7 +241,7 @@ impl FleetExploration {
     /// Has a free robot return to a place that it knows when its own has become uncertain. Returns its availability with that.
     fn revisit(
         &mut self,
-        now: Stamp,
+        input: &NavigationInput,
         robot: &NavigatedRobot,
         robot_map_from_base: Option<Pose2>,
         (availability, progress): (RobotAvailability, GoalProgress),
@@ -260,10 +258,19 @@ impl FleetExploration {
             revisits.interrupt();
             return availability;
         };
-        let is_returning =
-            self.sent[index].as_ref().is_some_and(|sent| sent.goal.purpose == GoalPurpose::Revisit);
-        let progress = if is_returning { progress } else { GoalProgress::Idle };
-        let place = revisits.step(now, robot_map_from_base, certainty, progress, known_m2);
+        let sent = self.sent[index].as_ref().filter(|sent| sent.goal.purpose == GoalPurpose::Revisit);
+        let progress = sent.map_or(GoalProgress::Idle, |_| progress);
+        // Zones are in the merged map.
+        let (zones, merged) = (input.exclusion_zones, robot.map_from_robot_map.filter(|_| of.is_none()));
+        let is_excluded = |place: &Pose2| merged.is_some_and(|map| is_in_zone(zones, &(map * *place)));
+        let place = revisits.step(&RevisitInput {
+            stamp: input.stamp,
+            robot_map_from_base,
+            certainty,
+            progress,
+            known_m2,
+            is_excluded: &is_excluded,
+        });
         if place.is_some() { RobotAvailability::Revisiting } else { availability }
     }
 

@@ -35,6 +35,20 @@ const WAY_MAX_S: f64 = 180.0;
 /// Time at a place in which SLAM may close a loop, seconds.
 const STAY_S: f64 = 3.0;
 
+/// What decides on a robot's way back.
+pub(super) struct RevisitInput<'a> {
+    pub stamp: Stamp,
+    /// Pose of the robot in its own map.
+    pub robot_map_from_base: Pose2,
+    pub certainty: PlaceCertainty,
+    /// Progress of the way back.
+    pub progress: GoalProgress,
+    /// What the map shows, square metres.
+    pub known_m2: f64,
+    /// Whether a place in the robot's own map lies where no robot may go.
+    pub is_excluded: &'a dyn Fn(&Pose2) -> bool,
+}
+
 /// The way back of a robot.
 #[derive(Clone, Debug)]
 struct Return {
@@ -80,16 +94,10 @@ impl Revisits {
         self.current.as_ref().map(|current| current.to)
     }
 
-    /// Begins, continues or ends a way back, and returns where it leads. `progress` is that of the way back, `known_m2` what the map shows, square metres.
-    pub(super) fn step(
-        &mut self,
-        now: Stamp,
-        robot_map_from_base: Pose2,
-        certainty: PlaceCertainty,
-        progress: GoalProgress,
-        known_m2: f64,
-    ) -> Option<Pose2> {
-        self.remember(robot_map_from_base, certainty);
+    /// Begins, continues or ends a way back, and returns where it leads.
+    pub(super) fn step(&mut self, input: &RevisitInput) -> Option<Pose2> {
+        let RevisitInput { stamp: now, certainty, known_m2, .. } = *input;
+        self.remember(input.robot_map_from_base, certainty);
         if certainty.sigma_m < CERTAIN_SIGMA_M {
             (self.current, self.has_given_up) = (None, false);
             return None;
@@ -101,16 +109,16 @@ impl Revisits {
                 self.from_sigma_m =
                     if has_grown { UNCERTAIN_SIGMA_M } else { certainty.sigma_m + RETRY_SIGMA_M };
                 self.known_m2 = self.known_m2.max(known_m2);
-                self.begin(now, robot_map_from_base, certainty, Vec::new());
+                self.begin(input, Vec::new());
             }
             return self.destination();
         };
-        if progress.has_ended() || now - current.since >= WAY_MAX_S {
+        if input.progress.has_ended() || now - current.since >= WAY_MAX_S {
             current.ended = current.ended.or(Some(now));
         }
         if current.ended.is_some_and(|ended| now - ended >= STAY_S) {
             let tried = core::mem::take(&mut current.tried);
-            self.begin(now, robot_map_from_base, certainty, tried);
+            self.begin(input, tried);
         }
         self.destination()
     }
@@ -120,17 +128,14 @@ impl Revisits {
         self.current = None;
     }
 
-    /// Sends a robot to the nearest place that was not tried; without one it explores on.
-    fn begin(
-        &mut self,
-        now: Stamp,
-        robot_map_from_base: Pose2,
-        certainty: PlaceCertainty,
-        mut tried: Vec<usize>,
-    ) {
-        let distance = |place: &Pose2| distance_m(position_m(place), position_m(&robot_map_from_base));
+    /// Sends a robot to the nearest allowed place that was not tried; without one it explores on.
+    fn begin(&mut self, input: &RevisitInput, mut tried: Vec<usize>) {
+        let base_m = position_m(&input.robot_map_from_base);
+        let distance = |place: &Pose2| distance_m(position_m(place), base_m);
         let is_new = |(index, place): &(usize, &Pose2)| {
-            !tried.contains(index) && (WAY_MIN_M..=WAY_MAX_M).contains(&distance(place))
+            !tried.contains(index)
+                && (WAY_MIN_M..=WAY_MAX_M).contains(&distance(place))
+                && !(input.is_excluded)(place)
         };
         let nearest = self
             .places
@@ -140,11 +145,11 @@ impl Revisits {
             .min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
         self.current = nearest.filter(|_| tried.len() < TRIES_MAX).map(|(index, place)| {
             tried.push(index);
-            Return { to: *place, tried, since: now, ended: None }
+            Return { to: *place, tried, since: input.stamp, ended: None }
         });
         if self.current.is_none() {
             self.has_given_up = true;
-            self.from_sigma_m = certainty.sigma_m + RETRY_SIGMA_M;
+            self.from_sigma_m = input.certainty.sigma_m + RETRY_SIGMA_M;
         }
     }
 
@@ -181,11 +186,23 @@ mod tests {
         Pose2::new(x_m, 0.0, 0.0)
     }
 
+    /// A robot at `x_m` whose position has this standard deviation.
+    fn input(
+        stamp: Stamp,
+        x_m: f64,
+        sigma_m: f64,
+        progress: GoalProgress,
+        known_m2: f64,
+    ) -> RevisitInput<'static> {
+        let (robot_map_from_base, certainty) = (at(x_m), known(sigma_m));
+        RevisitInput { stamp, robot_map_from_base, certainty, progress, known_m2, is_excluded: &|_| false }
+    }
+
     /// A robot that has seen places at 0, 2, 4, 6 and 8 m.
     fn with_places() -> Revisits {
         let mut revisits = Revisits::default();
         for x_m in 0..10 {
-            let place = revisits.step(Stamp(0), at(f64::from(x_m)), known(0.1), GoalProgress::Idle, 0.0);
+            let place = revisits.step(&input(Stamp(0), f64::from(x_m), 0.1, GoalProgress::Idle, 0.0));
             assert_eq!(place, None);
         }
         revisits
@@ -196,7 +213,7 @@ mod tests {
         let mut revisits = with_places();
         let mut step = |second: f64, sigma_m: f64, progress| {
             let stamp = Stamp::from_seconds(second);
-            revisits.step(stamp, at(12.0), known(sigma_m), progress, 10.0 * second).map(|place| place.x_m)
+            revisits.step(&input(stamp, 12.0, sigma_m, progress, 10.0 * second)).map(|place| place.x_m)
         };
         assert_eq!(step(1.0, 1.1, GoalProgress::Idle), Some(8.0));
         assert_eq!(step(2.0, 1.1, GoalProgress::Active), Some(8.0));
@@ -214,7 +231,7 @@ mod tests {
     fn a_robot_returns_later_and_later_while_the_known_area_does_not_grow() {
         let mut revisits = with_places();
         let mut is_returning = |sigma_m: f64, known_m2: f64| {
-            revisits.step(Stamp(0), at(12.0), known(sigma_m), GoalProgress::Idle, known_m2).is_some()
+            revisits.step(&input(Stamp(0), 12.0, sigma_m, GoalProgress::Idle, known_m2)).is_some()
         };
         assert!(is_returning(1.0, 10.0));
         assert!(!is_returning(0.7, 10.0));
@@ -232,23 +249,31 @@ mod tests {
         let mut revisits = with_places();
         let mut step = |second: f64| {
             let place =
-                revisits.step(Stamp::from_seconds(second), at(12.0), known(1.1), GoalProgress::Active, 10.0);
+                revisits.step(&input(Stamp::from_seconds(second), 12.0, 1.1, GoalProgress::Active, 10.0));
             place.map(|place| place.x_m)
         };
         assert_eq!([0.0, 179.0, 181.0, 185.0].map(&mut step), [Some(8.0), Some(8.0), Some(8.0), Some(6.0)]);
     }
 
     #[test]
+    fn no_place_in_an_excluded_area_is_tried() {
+        let mut revisits = with_places();
+        let uncertain = input(Stamp(0), 12.0, 1.1, GoalProgress::Idle, 10.0);
+        let place = revisits.step(&RevisitInput { is_excluded: &|place| place.x_m > 5.0, ..uncertain });
+        assert_eq!(place.map(|place| place.x_m), Some(4.0));
+    }
+
+    #[test]
     fn a_robot_without_known_places_explores() {
         let mut revisits = Revisits::default();
-        assert_eq!(revisits.step(Stamp(0), at(0.0), known(2.0), GoalProgress::Idle, 0.0), None);
+        assert_eq!(revisits.step(&input(Stamp(0), 0.0, 2.0, GoalProgress::Idle, 0.0)), None);
     }
 
     #[test]
     fn places_are_bounded_and_apart() {
         let mut revisits = Revisits::default();
         for step in 0..1000 {
-            revisits.step(Stamp(0), at(f64::from(step)), known(0.1), GoalProgress::Idle, 0.0);
+            revisits.step(&input(Stamp(0), f64::from(step), 0.1, GoalProgress::Idle, 0.0));
         }
         assert_eq!(revisits.places.len(), PLACES_MAX);
         assert!(revisits.places.windows(2).all(|pair| (pair[1].x_m - pair[0].x_m).abs() >= PLACES_APART_M));

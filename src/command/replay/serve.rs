@@ -121,16 +121,16 @@ fn open_transports(config: &FleetConfig) -> Result<Transports, ReplayError> {
     if !config.bridge.dds.enabled {
         return Ok(Transports { bridge, dds: None });
     }
-    let link = Arc::new(DdsQueues::default());
-    let commands = link.clone();
+    let queues = Arc::new(DdsQueues::default());
+    let commands = queues.clone();
     bridge.on_ros_command(move |command| commands.send_command(command));
-    let (events, to) = (link.clone(), bridge.clone());
+    let (events, to) = (queues.clone(), bridge.clone());
     spawn_local(async move {
         loop {
             to.receive_ros(events.next_event().await, now());
         }
     });
-    let endpoint = DdsEndpoint::open(&config.bridge_config(), config.robot_names(), false, link)
+    let endpoint = DdsEndpoint::open(&config.bridge_config(), config.robot_names(), false, queues)
         .map_err(|why| refused(why.to_string()))?;
     let endpoint = Rc::new(endpoint);
     spawn_local(endpoint.clone().serve());

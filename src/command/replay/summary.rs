@@ -33,9 +33,9 @@ pub struct Summary {
     /// Number of nodes in the pose graph.
     pub nodes: usize,
     /// Number of nodes that nothing connects with the map: they are not in it.
-    pub disconnected_nodes: usize,
+    pub untied_nodes: usize,
     /// Number of components of such nodes.
-    pub disconnected_components: usize,
+    pub untied_components: usize,
     /// Whether there is evidence that the map is wrong: parts of it may be metres off.
     pub unreliable: bool,
     /// The evidence, each as a measured value.
@@ -88,10 +88,10 @@ impl Summary {
                 s.relocalization.contradicted
             );
         }
-        if s.disconnected_nodes > 0 {
+        if s.untied_nodes > 0 {
             text += &format!(
                 "  missing   {} nodes in {} pieces whose place in the map is not known\n",
-                s.disconnected_nodes, s.disconnected_components
+                s.untied_nodes, s.untied_components
             );
         }
         for reason in &s.doubts_in_words {
@@ -119,8 +119,8 @@ impl Summary {
         self.refused_other = counts.beam_count + counts.geometry;
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
-        self.disconnected_nodes = done.untied;
-        self.disconnected_components = back.disconnected_components();
+        self.untied_nodes = done.untied;
+        self.untied_components = back.disconnected_components();
         self.doubts = back.doubts();
         self.unreliable = self.doubts.is_unreliable();
         self.doubts_in_words = self.doubts.reasons().collect();

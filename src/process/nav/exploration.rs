@@ -196,7 +196,8 @@ impl<P: Ports> Exploration<P> {
         for robot in &self.robots {
             report.robots[robot.index()] = match exploration.availability(*robot) {
                 None | Some(RobotAvailability::Lost) => ExplorerState::Lost,
-                Some(RobotAvailability::Free | RobotAvailability::Revisiting) => ExplorerState::Exploring,
+                Some(RobotAvailability::Free) => ExplorerState::Exploring,
+                Some(RobotAvailability::Revisiting) => ExplorerState::Revisiting,
                 Some(RobotAvailability::Manual) => ExplorerState::Manual,
                 Some(RobotAvailability::Dead) => ExplorerState::Silent,
             } as u8;

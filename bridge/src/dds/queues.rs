@@ -1,4 +1,4 @@
-//! The link between the bridge and the ROS 2 endpoint, which run on two threads.
+//! The queues between the bridge and the ROS 2 endpoint, which run on two threads.
 //!
 //! Both directions are bounded: of a topic the newest messages are kept, and what is dropped is counted.
 
@@ -14,7 +14,7 @@ const BYTES_MAX: usize = 32 << 20;
 /// Registrations that may wait in one direction. They are few: clients may register a limited number of topics.
 const REGISTRATIONS_MAX: usize = 16_384;
 
-/// What passes over the link.
+/// A command or an event.
 trait Queued {
     /// Returns the topic and the length of a message, bytes; `None` for a registration, which is not dropped.
     fn message(&self) -> Option<(&str, usize)>;
@@ -52,12 +52,12 @@ impl Queued for RosEvent {
 /// What waits in one direction.
 #[derive(Debug)]
 struct Waiting<T> {
-    parcels: VecDeque<T>,
+    items: VecDeque<T>,
     bytes: usize,
     dropped: u64,
 }
 
-/// One direction of the link.
+/// One direction of the queues.
 #[derive(Debug)]
 struct BoundedQueue<T> {
     waiting: Mutex<Waiting<T>>,
@@ -66,7 +66,7 @@ struct BoundedQueue<T> {
 
 impl<T: Queued> BoundedQueue<T> {
     fn new() -> Self {
-        let waiting = Waiting { parcels: VecDeque::new(), bytes: 0, dropped: 0 };
+        let waiting = Waiting { items: VecDeque::new(), bytes: 0, dropped: 0 };
         Self { waiting: Mutex::new(waiting), arrived: Notify::new() }
     }
 
@@ -75,17 +75,17 @@ impl<T: Queued> BoundedQueue<T> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn push(&self, parcel: T) {
-        self.lock().push(parcel);
+    fn push(&self, item: T) {
+        self.lock().push(item);
         self.arrived.notify_one();
     }
 
-    /// Waits for the oldest parcel. One task at a time may wait.
+    /// Waits for the oldest item. One task at a time may wait.
     async fn next(&self) -> T {
         loop {
             let next = self.lock().pop();
             match next {
-                Some(parcel) => return parcel,
+                Some(item) => return item,
                 None => self.arrived.notified().await,
             }
         }
@@ -93,44 +93,44 @@ impl<T: Queued> BoundedQueue<T> {
 }
 
 impl<T: Queued> Waiting<T> {
-    fn push(&mut self, parcel: T) {
-        match parcel.message() {
+    fn push(&mut self, item: T) {
+        match item.message() {
             Some((topic, bytes)) => {
                 let is_same = |other: &T| other.message().is_some_and(|(of, _)| of == topic);
-                let depth = self.parcels.iter().filter(|other| is_same(other)).count();
-                let oldest = self.parcels.iter().position(is_same).filter(|_| depth >= DEPTH_MAX);
+                let depth = self.items.iter().filter(|other| is_same(other)).count();
+                let oldest = self.items.iter().position(is_same).filter(|_| depth >= DEPTH_MAX);
                 oldest.into_iter().for_each(|at| self.drop_at(at));
                 while self.bytes > 0 && self.bytes + bytes > BYTES_MAX {
                     let long = |other: &T| other.message().is_some_and(|(_, bytes)| bytes > 0);
-                    let Some(at) = self.parcels.iter().position(long) else { break };
+                    let Some(at) = self.items.iter().position(long) else { break };
                     self.drop_at(at);
                 }
                 self.bytes += bytes;
             }
-            None if self.parcels.len() >= REGISTRATIONS_MAX => {
+            None if self.items.len() >= REGISTRATIONS_MAX => {
                 self.dropped += 1;
                 return;
             }
             None => {}
         }
-        self.parcels.push_back(parcel);
+        self.items.push_back(item);
     }
 
     fn drop_at(&mut self, at: usize) {
-        if let Some(parcel) = self.parcels.remove(at) {
-            self.bytes -= parcel.message().map_or(0, |(_, bytes)| bytes);
+        if let Some(item) = self.items.remove(at) {
+            self.bytes -= item.message().map_or(0, |(_, bytes)| bytes);
             self.dropped += 1;
         }
     }
 
     fn pop(&mut self) -> Option<T> {
-        let parcel = self.parcels.pop_front()?;
-        self.bytes -= parcel.message().map_or(0, |(_, bytes)| bytes);
-        Some(parcel)
+        let item = self.items.pop_front()?;
+        self.bytes -= item.message().map_or(0, |(_, bytes)| bytes);
+        Some(item)
     }
 }
 
-/// The link between one bridge and one endpoint.
+/// The queues between one bridge and one endpoint.
 #[derive(Debug)]
 pub struct DdsQueues {
     commands: BoundedQueue<RosCommand>,
@@ -181,25 +181,25 @@ mod tests {
 
     #[test]
     fn the_newest_messages_of_a_topic_are_kept_and_registrations_are_never_dropped() {
-        let link = DdsQueues::default();
-        link.send_command(RosCommand::Unadvertise { topic: "/a".into() });
-        (0..DEPTH_MAX + 3).for_each(|length| link.send_command(message("/a", length)));
-        link.send_command(message("/b", 5));
-        let waiting = &mut *link.commands.lock();
-        assert_eq!((waiting.parcels.len(), waiting.dropped), (DEPTH_MAX + 2, 3));
+        let queues = DdsQueues::default();
+        queues.send_command(RosCommand::Unadvertise { topic: "/a".into() });
+        (0..DEPTH_MAX + 3).for_each(|length| queues.send_command(message("/a", length)));
+        queues.send_command(message("/b", 5));
+        let waiting = &mut *queues.commands.lock();
+        assert_eq!((waiting.items.len(), waiting.dropped), (DEPTH_MAX + 2, 3));
         assert!(matches!(waiting.pop(), Some(RosCommand::Unadvertise { .. })));
         assert!(matches!(waiting.pop(), Some(RosCommand::Publish { payload, .. }) if payload.len() == 3));
     }
 
     #[test]
     fn bytes_are_bounded_and_one_long_message_passes() {
-        let link = DdsQueues::default();
-        (0..8).for_each(|_| link.send_command(message("/map", BYTES_MAX / 4)));
-        assert_eq!(link.commands.lock().bytes, BYTES_MAX);
-        assert_eq!(link.dropped(), 4);
-        link.send_command(message("/map", 2 * BYTES_MAX));
-        let waiting = &mut *link.commands.lock();
-        assert_eq!((waiting.parcels.len(), waiting.bytes), (1, 2 * BYTES_MAX));
+        let queues = DdsQueues::default();
+        (0..8).for_each(|_| queues.send_command(message("/map", BYTES_MAX / 4)));
+        assert_eq!(queues.commands.lock().bytes, BYTES_MAX);
+        assert_eq!(queues.dropped(), 4);
+        queues.send_command(message("/map", 2 * BYTES_MAX));
+        let waiting = &mut *queues.commands.lock();
+        assert_eq!((waiting.items.len(), waiting.bytes), (1, 2 * BYTES_MAX));
         while waiting.pop().is_some() {}
         assert_eq!(waiting.bytes, 0);
     }
