@@ -72,8 +72,6 @@ pub struct Fleet {
     observer: Observer,
     /// Endpoint of the base.
     pub endpoint: String,
-    /// Whether a velocity other than zero was seen on the channel to the robot.
-    pub was_driven: bool,
     /// What launcher and link have said.
     said: Arc<Mutex<Vec<String>>>,
 }
@@ -185,7 +183,7 @@ impl Fleet {
             Some((Observer::attach(&run, "test").ok()?, run))
         });
         let (observer, run) = observer;
-        Self { launcher, run, observer, endpoint: endpoint.into(), was_driven: false, said }
+        Self { launcher, run, observer, endpoint: endpoint.into(), said }
     }
 
     /// Returns whether launcher or link have said something with this text in it.
@@ -196,7 +194,6 @@ impl Fleet {
     /// Returns the known cells of a map.
     pub fn cells(&mut self, map_name: &str) -> Cells {
         self.observer.poll();
-        self.was_driven |= self.is_driven();
         let mut cells = Cells::new();
         self.observer.show_maps(|name, map| {
             if name == map_name {
@@ -293,6 +290,26 @@ impl Fleet {
     pub fn drive(&mut self, name: &str, seconds: f64, linear: f64, angular: f64) {
         let begun = Instant::now();
         self.drive_until(name, linear, angular, || begun.elapsed().as_secs_f64() >= seconds);
+    }
+
+    /// Drives a robot over this fleet's TCP port, and returns whether its own bridge had it driving meanwhile.
+    ///
+    /// Afterwards is too late to look: the bridge sends zeros once nobody drives.
+    pub fn drive_and_watch(
+        &mut self,
+        name: &str,
+        seconds: f64,
+        linear: f64,
+        angular: f64,
+        robot: &mut Self,
+    ) -> bool {
+        let begun = Instant::now();
+        let mut was_driven = false;
+        self.drive_until(name, linear, angular, || {
+            was_driven |= robot.is_driving();
+            begun.elapsed().as_secs_f64() >= seconds
+        });
+        was_driven
     }
 
     /// Drives a robot over this fleet's TCP port until `over` returns true.
