@@ -31,8 +31,12 @@ const BREAK_POINTS_MIN: usize = 60;
 /// A path shorter than this has not drifted by what counts as a contradiction, metres.
 const STRAIGHT_M: f64 = 20.0;
 
-/// A robot is carried this far while it is lifted and put down, metres; beyond, by its speed.
+/// A robot is carried this far while it is lifted and put down, metres.
 const REACH_M: f64 = 3.0;
+/// Standard deviations of the last place before it that count as well.
+const REACH_SIGMAS: f64 = 3.0;
+/// Drift of the path since it was put down, metres per metre.
+const PATH_DRIFT: f64 = 0.1;
 /// What the front end drifts while nothing measures the motion, on top of the distance that the robot can have driven, metres and
 /// radians.
 const UNMEASURED_M: f64 = 1.0;
@@ -88,17 +92,25 @@ impl BackEnd {
         if !agreement.is_contradicted(BREAK_SHARE, BREAK_POINTS_MIN) {
             return;
         }
-        let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == unverified_edge;
-        let Some(index) = self.graph.edges().iter().position(before) else { return };
-        let edge = self.graph.edge_mut(index);
-        (edge.kind, edge.information) =
-            (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD));
-        edge.variance = BREAK_VARIANCE;
-        self.nodes[unverified_edge as usize].odometry_break = true;
+        if !self.break_odometry(unverified_edge) {
+            return;
+        }
         self.unverified_edge = None;
         self.loop_closer.detector.drop_pending();
         self.location.component_relocalizer = None;
         self.update_components();
+    }
+
+    /// Breaks the odometry edge before a node; false if there is none.
+    pub(super) fn break_odometry(&mut self, id: u32) -> bool {
+        let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == id;
+        let Some(index) = self.graph.edges().iter().position(before) else { return false };
+        let edge = self.graph.edge_mut(index);
+        (edge.kind, edge.information) =
+            (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD));
+        edge.variance = BREAK_VARIANCE;
+        self.nodes[id as usize].odometry_break = true;
+        true
     }
 
     /// Number of pieces that are not tied to the map.
@@ -181,15 +193,46 @@ impl BackEnd {
         let node = &self.nodes[id as usize];
         let map_from_last = self.graph.poses()[last.id as usize];
         let speed_max_m_s = self.config.odometry.speed_max_m_s;
-        if since.iter().any(|node| node.odometry_break && !self.is_unmeasured_break(node.id)) {
-            let reach_m = REACH_M + speed_max_m_s * (node.header.stamp - last.header.stamp);
-            return map_from_last.distance_m(map_from_node) > reach_m;
+        let is_carried = |node: &Node| node.odometry_break && !self.is_unmeasured_break(node.id);
+        if since.iter().any(is_carried) {
+            return self.is_beyond_reach_of_carried(id, map_from_node, is_carried);
         }
         let expected = map_from_last * last.local_from_base.between(node.local_from_base);
         let unmeasured_s: f64 = since.iter().map(|node| f64::from(node.unmeasured_s)).sum();
         let turned_rad = wrap_angle(expected.yaw_rad - map_from_node.yaw_rad).abs();
         expected.distance_m(map_from_node) > UNMEASURED_M + speed_max_m_s * unmeasured_s
             || turned_rad > UNMEASURED_RAD
+    }
+
+    /// Whether a robot that was carried cannot have been put down where the place of node `id` says. Its path since then is
+    /// known, the heading with which it was put down is not; of the paths between earlier losses only the length is known.
+    fn is_beyond_reach_of_carried(
+        &self,
+        id: u32,
+        map_from_node: Pose2,
+        is_carried: impl Fn(&Node) -> bool,
+    ) -> bool {
+        let nodes = &self.nodes[..=id as usize];
+        let is_connected = |node: &&Node| node.disconnected_component.is_none();
+        let Some(last) = nodes[..id as usize].iter().rfind(is_connected) else { return false };
+        let (node, since) = (&nodes[id as usize], &nodes[last.id as usize + 1..]);
+        let put_down = since.iter().rfind(|node| node.odometry_break).unwrap_or(node);
+        let map_from_put_down = map_from_node * node.local_from_base.between(put_down.local_from_base);
+        let path_m = |nodes: &[Node]| -> f64 {
+            nodes.windows(2).map(|pair| pair[0].local_from_base.distance_m(pair[1].local_from_base)).sum()
+        };
+        let (before, after) =
+            (&nodes[last.id as usize..=put_down.id as usize], &nodes[put_down.id as usize..]);
+        let carries = since.iter().filter(|node| node.id <= put_down.id && is_carried(node)).count();
+        let unmeasured_s: f64 = since.iter().map(|node| f64::from(node.unmeasured_s)).sum();
+        let covariance = self.graph.covariance(last.id);
+        let sigma_m = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
+        let reach_m = REACH_M * carries as f64
+            + REACH_SIGMAS * sigma_m
+            + path_m(before)
+            + self.config.odometry.speed_max_m_s * unmeasured_s
+            + PATH_DRIFT * path_m(after);
+        self.graph.poses()[last.id as usize].distance_m(map_from_put_down) > reach_m
     }
 
     /// Whether the odometry edge before a node is broken because the motion was not measured.
@@ -224,5 +267,47 @@ impl BackEnd {
         for node in self.nodes.iter().filter(|node| node.disconnected_component == moves) {
             self.graph.move_node(node.id, shift);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::common::{FULL, Noise, cast};
+    use crate::config::SlamConfig;
+    use crate::testing::standing_node;
+    use msg::Stamp;
+
+    /// A path of 30 nodes along x, each metre and each second; before node 20 the robot was carried.
+    fn carried_robot() -> BackEnd {
+        let mut back = BackEnd::new(SlamConfig::default());
+        for id in 0..30 {
+            let at = Pose2::new(f64::from(id), 0.0, 0.0);
+            let stamp = Stamp::from_seconds(f64::from(id));
+            let scan = cast(&[], &FULL, at, stamp, &mut Noise::new(1));
+            let mut node = standing_node(id, &scan, at, &back.config.lidar);
+            node.odometry_break = id == 20;
+            node.disconnected_component = (id >= 20).then_some(20);
+            back.graph.add_node(at);
+            back.nodes.push(node);
+        }
+        back
+    }
+
+    #[test]
+    fn a_carried_robot_is_found_where_it_can_have_been_put_down_whatever_its_heading() {
+        let back = carried_robot();
+        // Since it was put down it has driven 9 m.
+        let newest_if_put_down_at = |put_down: Pose2| put_down * Pose2::new(9.0, 0.0, 0.0);
+        let is_beyond = |put_down: Pose2| back.is_beyond_reach(29, newest_if_put_down_at(put_down));
+        for yaw_rad in [0.0, 1.5, core::f64::consts::PI] {
+            assert!(!is_beyond(Pose2::new(21.0, 2.0, yaw_rad)), "2.8 m from where it was seen last");
+            assert!(is_beyond(Pose2::new(30.0, 2.0, yaw_rad)), "11 m from there");
+        }
+        // The same place of the newest node, but driven to from the other side.
+        let place = newest_if_put_down_at(Pose2::new(21.0, 2.0, 0.0));
+        assert!(!back.is_beyond_reach(29, place));
+        let turned = place * Pose2::new(0.0, 0.0, core::f64::consts::PI);
+        assert!(back.is_beyond_reach(29, turned), "it would have been put down 18 m away");
     }
 }

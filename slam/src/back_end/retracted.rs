@@ -7,6 +7,7 @@
 use super::BackEnd;
 use crate::closure::ClosureCandidate;
 use crate::graph::{Edge, EdgeKind};
+use crate::map_doubts::PathCut;
 use msg::{Pose2, pose::wrap_angle};
 
 /// Closures whose ends are this near in order can be compared: the graph knows the way between their ends, some 12 m, well.
@@ -16,6 +17,9 @@ const AGREEING_NODES: u32 = 40;
 const REFUTED_M: f64 = 1.0;
 /// Most refuted closures that are compared with each other, the newest.
 const REFUTED_MAX: usize = 64;
+/// Refuted closures that agree from which the path is broken where they say that it is wrong: two acceptances of two each. One pair may be a
+/// place that looks like another.
+const BREAKING_MIN: usize = 4;
 
 impl BackEnd {
     /// Puts closures that were taken back into force again if new ones agree with them. If the solved graph still
@@ -41,25 +45,66 @@ impl BackEnd {
     /// from where they are. Either they are wrong together, or the path between their ends is: a robot that was carried along a
     /// corridor sees nothing that contradicts it but these.
     pub(super) fn count_refuted_closures(&self) -> u32 {
-        let poses = self.graph.poses();
-        let is_tied = |id: u32| self.nodes[id as usize].is_tied();
-        let is_refuted = |edge: &&Edge| {
+        self.refuted_closures().len() as u32
+    }
+
+    /// Those closures, as indices of edges.
+    fn refuted_closures(&self) -> Vec<usize> {
+        let (edges, poses) = (self.graph.edges(), self.graph.poses());
+        let component = |id: u32| self.nodes[id as usize].disconnected_component;
+        let is_refuted = |edge: &Edge| {
             let in_map = poses[edge.a as usize].between(poses[edge.b as usize]);
             edge.kind == EdgeKind::Closure
                 && !edge.in_force
-                && is_tied(edge.a)
-                && is_tied(edge.b)
+                && component(edge.a) == component(edge.b)
                 && in_map.distance_m(edge.a_from_b) > REFUTED_M
                 && !self.loop_closer.was_rejected(edge)
         };
-        let refuted: Vec<&Edge> =
-            self.graph.edges().iter().rev().filter(is_refuted).take(REFUTED_MAX).collect();
-        let is_confirmed = |edge: &&&Edge| {
+        let refuted: Vec<usize> =
+            (0..edges.len()).rev().filter(|index| is_refuted(&edges[*index])).take(REFUTED_MAX).collect();
+        let is_confirmed = |index: usize| {
             refuted.iter().any(|other| {
-                !core::ptr::eq(**edge, *other) && self.agrees(edge, [other.a, other.b], other.a_from_b)
+                let (edge, other_edge) = (&edges[index], &edges[*other]);
+                index != *other && self.agrees(edge, [other_edge.a, other_edge.b], other_edge.a_from_b)
             })
         };
-        refuted.iter().filter(is_confirmed).count() as u32
+        refuted.iter().copied().filter(|index| is_confirmed(*index)).collect()
+    }
+
+    /// Breaks the path where many removed closures agree that it is wrong, and puts these into force: the robot was carried there, and
+    /// saw nothing that contradicted it. The nodes around the break stay untied, as the place is not known better.
+    pub(super) fn break_path_at_refuted_closures(&mut self) {
+        let refuted = self.refuted_closures();
+        let Some(newest) = refuted.first().copied().filter(|_| refuted.len() >= BREAKING_MIN) else { return };
+        let edges = self.graph.edges();
+        let ends = |edge: &Edge| [edge.a.min(edge.b), edge.a.max(edge.b)];
+        let spans: Vec<[u32; 2]> = refuted.iter().map(|index| ends(&edges[*index])).collect();
+        let in_force = edges.iter().filter(|edge| edge.kind == EdgeKind::Closure && edge.in_force);
+        let in_force: Vec<[u32; 2]> = in_force.map(ends).collect();
+        let Some(cut) = wrong_motion(&spans, &in_force) else { return };
+        if self.nodes[cut.before as usize + 1..=cut.after as usize].iter().any(|node| node.odometry_break) {
+            return;
+        }
+        for step in [cut.before, cut.after - 1] {
+            for index in 0..self.graph.edges().len() {
+                let edge = self.graph.edge_mut(index);
+                let [first, last] = ends(edge);
+                if edge.kind == EdgeKind::Link && (first..last).contains(&step) {
+                    edge.in_force = false;
+                }
+            }
+            self.break_odometry(step + 1);
+        }
+        self.update_components();
+        let Edge { a, b, a_from_b, information, response, .. } = self.graph.edges()[newest];
+        let closure =
+            ClosureCandidate { older: a, newer: b, older_from_newer: a_from_b, information, response };
+        self.align_components(&closure);
+        for index in &refuted {
+            self.graph.edge_mut(*index).in_force = true;
+        }
+        self.loop_closer.retracted = self.loop_closer.retracted.saturating_sub(refuted.len() as u64);
+        self.solve(true);
     }
 
     /// Whether a closure says the same as another one between the same passes, of the nodes `a` and `b`.
@@ -70,6 +115,17 @@ impl BackEnd {
         let is_near = edge.a.abs_diff(a).max(edge.b.abs_diff(b)) <= AGREEING_NODES;
         is_near && implied.distance_m(a_from_b) < c.agree_m && turned < c.agree_rad
     }
+}
+
+/// The place in the path that all these removed closures span, and none of those in force: there the motion is wrong. Each closure is the
+/// first and the last node of what it spans.
+fn wrong_motion(removed: &[[u32; 2]], in_force: &[[u32; 2]]) -> Option<PathCut> {
+    let first = removed.iter().map(|[first, _]| *first).max()?;
+    let last = removed.iter().map(|[_, last]| *last).min()?;
+    let is_confirmed = |step: u32| in_force.iter().any(|[first, last]| (*first..*last).contains(&step));
+    let before = (first..last).find(|step| !is_confirmed(*step))?;
+    let after = (first..last).rfind(|step| !is_confirmed(*step))? + 1;
+    Some(PathCut { before, after })
 }
 
 #[cfg(test)]
@@ -114,6 +170,13 @@ mod tests {
         }
     }
 
+    impl ClosureCandidate {
+        /// The same with another newer node.
+        fn to(self, newer: u32) -> Self {
+            Self { newer, ..self }
+        }
+    }
+
     #[test]
     fn right_closures_that_a_long_path_outvotes_two_by_two_win_together() {
         // The end of the path is 0.6 m off.
@@ -128,6 +191,49 @@ mod tests {
         assert_eq!((back.counts().closures, back.counts().retracted), (8, 0));
         let end_m = back.graph.poses()[60].x_m - back.graph.poses()[0].x_m;
         assert!((end_m - 17.4).abs() < 0.05, "{end_m}");
+    }
+
+    #[test]
+    fn the_wrong_motion_lies_where_all_removed_closures_and_none_in_force_span_the_path() {
+        let removed = [[3, 60], [5, 62], [7, 64]];
+        assert_eq!(wrong_motion(&removed, &[]), Some(PathCut { before: 7, after: 60 }));
+        assert_eq!(wrong_motion(&removed, &[[0, 40], [58, 70]]), Some(PathCut { before: 40, after: 58 }));
+        assert_eq!(wrong_motion(&removed, &[[0, 60]]), None, "what is in force confirms all of it");
+        assert_eq!(wrong_motion(&[[3, 20], [40, 60]], &[]), None, "not one place");
+        assert_eq!(wrong_motion(&[], &[]), None);
+    }
+
+    #[test]
+    fn a_path_that_many_closures_contradict_by_metres_is_broken_where_they_say_and_they_win() {
+        // Carried by 3.3 m between the nodes 40 and 60, which nothing measured. The way before is confirmed.
+        let mut back = long_path();
+        for id in 1..70 {
+            let information = information_from_sigmas(0.05, 0.01);
+            let moved = Pose2::new(0.3, 0.0, 0.0);
+            back.graph.add_edge([id - 1, id], moved, information, EdgeKind::Odometry, [0.0; 2]);
+        }
+        back.add_closures(&[closure(0, 12.0).to(40), closure(1, 12.0).to(41)]);
+        let closure = |k: u32| closure(k, 14.7);
+        back.add_closures(&[closure(0), closure(1)]);
+        back.break_path_at_refuted_closures();
+        assert_eq!(
+            (back.counts().closures, back.counts().retracted),
+            (2, 2),
+            "one pair may be a place that looks alike"
+        );
+        back.add_closures(&[closure(2), closure(3)]);
+        assert_eq!((back.counts().closures, back.counts().retracted), (2, 4));
+        back.break_path_at_refuted_closures();
+        assert_eq!((back.counts().closures, back.counts().retracted), (6, 0));
+        let end_m = back.graph.poses()[60].x_m - back.graph.poses()[0].x_m;
+        assert!((end_m - 14.7).abs() < 0.05, "{end_m}");
+        let is_tied = |id: usize| back.nodes[id].is_tied();
+        assert!((0..=41).chain(60..70).all(is_tied), "both sides are one map");
+        assert!(!(42..60).any(is_tied), "what lies between has no known place");
+        // Nothing is left to break.
+        let edges = back.graph.edges().len();
+        back.break_path_at_refuted_closures();
+        assert_eq!((back.counts().closures, back.graph.edges().len()), (6, edges));
     }
 
     #[test]

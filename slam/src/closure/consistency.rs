@@ -11,9 +11,13 @@ use msg::pose::wrap_angle;
 use nalgebra::{Matrix3, Vector3};
 use posegraph::limit_information;
 
-/// Squared error of a closure that the way admits, in variances: the 90 % quantile of a chi-squared distribution of three
-/// degrees of freedom. On the generated seeds 0..30 it refuses 32 of 35 wrong closures and 9 of 173 right ones.
-const CHI_SQUARED_MAX: f64 = 6.25;
+/// Squared error of a closure that the way admits, in variances, where errors are independent: the 50 % quantile of a chi-squared
+/// distribution of three degrees of freedom. The covariance of a path is cautious, so that it admits most right closures all the same: on the
+/// generated seeds 0..144, 741 right and 9 wrong ones are in force at the end with it, and 788 and 30 with the 90 % quantile.
+const CHI_SQUARED_MAX: f64 = 2.37;
+/// The same where errors that repeat along the way count too, which are no more than they are: the 75 % quantile. fhw needs 3.5, and is the same up
+/// to 6.25.
+const CHI_SQUARED_REPEATING_MAX: f64 = 4.11;
 
 /// Whether the graph, before this closure, admits it: its error in standard deviations of both. `known` is how well the node is
 /// known as seen from the candidate: the errors that repeat are taken from it. `None` where nothing joins them.
@@ -34,7 +38,8 @@ pub(super) fn is_consistent(
     let RelativeUncertainty { bias_m, bias_rad, .. } = known.unwrap_or_default();
     let bias = Vector3::new(bias_m, bias_m, bias_rad).map(|sigma| sigma * sigma);
     let covariance = way + Matrix3::from_diagonal(&bias) + turn_covariance(measured, a.yaw_rad);
-    covariance.try_inverse().is_none_or(|inverse| (error.transpose() * inverse * error)[0] < CHI_SQUARED_MAX)
+    let most = if bias_m > 0.0 { CHI_SQUARED_REPEATING_MAX } else { CHI_SQUARED_MAX };
+    covariance.try_inverse().is_none_or(|inverse| (error.transpose() * inverse * error)[0] < most)
 }
 
 #[cfg(test)]
@@ -75,11 +80,11 @@ mod tests {
         };
         let good = there_and_back(0.05, 0.01);
         assert!(is_consistent(&good, &closure(3.0), &links, None));
-        assert!(is_consistent(&good, &closure(2.8), &links, None));
+        assert!(is_consistent(&good, &closure(2.9), &links, None));
         assert!(!is_consistent(&good, &closure(0.0), &links, None));
         let bias = RelativeUncertainty { bias_m: 2.0, bias_rad: 0.1, ..RelativeUncertainty::default() };
         assert!(is_consistent(&good, &closure(0.0), &links, Some(bias)), "what repeats may make 3 m of 20 m");
-        let bad = there_and_back(0.2, 0.1);
+        let bad = there_and_back(0.3, 0.15);
         assert!(is_consistent(&bad, &closure(0.0), &links, None));
     }
 }
