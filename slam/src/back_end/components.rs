@@ -31,11 +31,11 @@ const BREAK_POINTS_MIN: usize = 60;
 /// A path shorter than this has not drifted by what counts as a contradiction, metres.
 const STRAIGHT_M: f64 = 20.0;
 
-/// A robot is carried this far while it is lifted and put down, metres.
+/// A robot is carried this far at most when it is kidnapped, metres.
 const REACH_M: f64 = 3.0;
 /// Standard deviations of the last place before it that count as well.
 const REACH_SIGMAS: f64 = 3.0;
-/// Drift of the path since it was put down, metres per metre.
+/// Drift of the path since it was kidnapped, metres per metre.
 const PATH_DRIFT: f64 = 0.1;
 /// What the front end drifts while nothing measures the motion, on top of the distance that the robot can have driven, metres and
 /// radians.
@@ -193,9 +193,9 @@ impl BackEnd {
         let node = &self.nodes[id as usize];
         let map_from_last = self.graph.poses()[last.id as usize];
         let speed_max_m_s = self.config.odometry.speed_max_m_s;
-        let is_carried = |node: &Node| node.odometry_break && !self.is_unmeasured_break(node.id);
-        if since.iter().any(is_carried) {
-            return self.is_beyond_reach_of_carried(id, map_from_node, is_carried);
+        let is_kidnapped = |node: &Node| node.odometry_break && !self.is_unmeasured_break(node.id);
+        if since.iter().any(is_kidnapped) {
+            return self.is_beyond_reach_of_kidnapped(id, map_from_node, is_kidnapped);
         }
         let expected = map_from_last * last.local_from_base.between(node.local_from_base);
         let unmeasured_s: f64 = since.iter().map(|node| f64::from(node.unmeasured_s)).sum();
@@ -204,26 +204,25 @@ impl BackEnd {
             || turned_rad > UNMEASURED_RAD
     }
 
-    /// Whether a robot that was carried cannot have been put down where the place of node `id` says. Its path since then is
-    /// known, the heading with which it was put down is not; of the paths between earlier losses only the length is known.
-    fn is_beyond_reach_of_carried(
+    /// Whether a robot cannot have been kidnapped to where its path ends that leads back from node `id`. The path since then is
+    /// known, its heading in the map is not; of the paths between earlier losses only the length is known.
+    fn is_beyond_reach_of_kidnapped(
         &self,
         id: u32,
         map_from_node: Pose2,
-        is_carried: impl Fn(&Node) -> bool,
+        is_kidnapped: impl Fn(&Node) -> bool,
     ) -> bool {
         let nodes = &self.nodes[..=id as usize];
         let is_connected = |node: &&Node| node.disconnected_component.is_none();
         let Some(last) = nodes[..id as usize].iter().rfind(is_connected) else { return false };
         let (node, since) = (&nodes[id as usize], &nodes[last.id as usize + 1..]);
-        let put_down = since.iter().rfind(|node| node.odometry_break).unwrap_or(node);
-        let map_from_put_down = map_from_node * node.local_from_base.between(put_down.local_from_base);
+        let first = since.iter().rfind(|node| node.odometry_break).unwrap_or(node);
+        let map_from_first = map_from_node * node.local_from_base.between(first.local_from_base);
         let path_m = |nodes: &[Node]| -> f64 {
             nodes.windows(2).map(|pair| pair[0].local_from_base.distance_m(pair[1].local_from_base)).sum()
         };
-        let (before, after) =
-            (&nodes[last.id as usize..=put_down.id as usize], &nodes[put_down.id as usize..]);
-        let carries = since.iter().filter(|node| node.id <= put_down.id && is_carried(node)).count();
+        let (before, after) = (&nodes[last.id as usize..=first.id as usize], &nodes[first.id as usize..]);
+        let carries = since.iter().filter(|node| node.id <= first.id && is_kidnapped(node)).count();
         let unmeasured_s: f64 = since.iter().map(|node| f64::from(node.unmeasured_s)).sum();
         let covariance = self.graph.covariance(last.id);
         let sigma_m = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
@@ -232,7 +231,7 @@ impl BackEnd {
             + path_m(before)
             + self.config.odometry.speed_max_m_s * unmeasured_s
             + PATH_DRIFT * path_m(after);
-        self.graph.poses()[last.id as usize].distance_m(map_from_put_down) > reach_m
+        self.graph.poses()[last.id as usize].distance_m(map_from_first) > reach_m
     }
 
     /// Whether the odometry edge before a node is broken because the motion was not measured.
@@ -278,8 +277,8 @@ mod tests {
     use crate::testing::standing_node;
     use msg::Stamp;
 
-    /// A path of 30 nodes along x, each metre and each second; before node 20 the robot was carried.
-    fn carried_robot() -> BackEnd {
+    /// A path of 30 nodes along x, each metre and each second; before node 20 the robot was kidnapped.
+    fn kidnapped_robot() -> BackEnd {
         let mut back = BackEnd::new(SlamConfig::default());
         for id in 0..30 {
             let at = Pose2::new(f64::from(id), 0.0, 0.0);
@@ -295,19 +294,19 @@ mod tests {
     }
 
     #[test]
-    fn a_carried_robot_is_found_where_it_can_have_been_put_down_whatever_its_heading() {
-        let back = carried_robot();
-        // Since it was put down it has driven 9 m.
-        let newest_if_put_down_at = |put_down: Pose2| put_down * Pose2::new(9.0, 0.0, 0.0);
-        let is_beyond = |put_down: Pose2| back.is_beyond_reach(29, newest_if_put_down_at(put_down));
+    fn a_kidnapped_robot_is_found_where_it_can_have_been_carried_to_whatever_its_heading() {
+        let back = kidnapped_robot();
+        // Since it was kidnapped it has driven 9 m.
+        let newest_if_carried_to = |first: Pose2| first * Pose2::new(9.0, 0.0, 0.0);
+        let is_beyond = |first: Pose2| back.is_beyond_reach(29, newest_if_carried_to(first));
         for yaw_rad in [0.0, 1.5, core::f64::consts::PI] {
             assert!(!is_beyond(Pose2::new(21.0, 2.0, yaw_rad)), "2.8 m from where it was seen last");
             assert!(is_beyond(Pose2::new(30.0, 2.0, yaw_rad)), "11 m from there");
         }
         // The same place of the newest node, but driven to from the other side.
-        let place = newest_if_put_down_at(Pose2::new(21.0, 2.0, 0.0));
+        let place = newest_if_carried_to(Pose2::new(21.0, 2.0, 0.0));
         assert!(!back.is_beyond_reach(29, place));
         let turned = place * Pose2::new(0.0, 0.0, core::f64::consts::PI);
-        assert!(back.is_beyond_reach(29, turned), "it would have been put down 18 m away");
+        assert!(back.is_beyond_reach(29, turned), "it would have been carried by 18 m");
     }
 }

@@ -117,7 +117,7 @@ impl BackEnd {
     }
 }
 
-/// The place in the path that all these removed closures span, and none of those in force: there the motion is wrong. Each closure is the
+/// The place in the path that all these removed closures span, and none of those in the graph: there the motion is wrong. Each closure is the
 /// first and the last node of what it spans.
 fn wrong_motion(removed: &[[u32; 2]], in_force: &[[u32; 2]]) -> Option<PathCut> {
     let first = removed.iter().map(|[first, _]| *first).max()?;
@@ -198,7 +198,7 @@ mod tests {
         let removed = [[3, 60], [5, 62], [7, 64]];
         assert_eq!(wrong_motion(&removed, &[]), Some(PathCut { before: 7, after: 60 }));
         assert_eq!(wrong_motion(&removed, &[[0, 40], [58, 70]]), Some(PathCut { before: 40, after: 58 }));
-        assert_eq!(wrong_motion(&removed, &[[0, 60]]), None, "what is in force confirms all of it");
+        assert_eq!(wrong_motion(&removed, &[[0, 60]]), None, "the others confirm all of it");
         assert_eq!(wrong_motion(&[[3, 20], [40, 60]], &[]), None, "not one place");
         assert_eq!(wrong_motion(&[], &[]), None);
     }
