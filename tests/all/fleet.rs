@@ -160,7 +160,8 @@ fn a_detached_fleet_goes_on_and_says_how_to_end_it() {
     crate::harness::send(run.pid, Signal::TERM);
     let begun = std::time::Instant::now();
     while !folder.path().join("report.json").exists() {
-        assert!(begun.elapsed() < crate::harness::WATCHDOG, "no report");
+        let log = || std::fs::read_to_string(folder.path().join("launcher.log")).unwrap_or_default();
+        assert!(begun.elapsed() < crate::harness::WATCHDOG, "no report; the launcher's log: {}", log());
         std::thread::sleep(Duration::from_millis(20));
     }
 }
