@@ -31,7 +31,7 @@ const BREAK_POINTS_MIN: usize = 60;
 /// A path shorter than this has not drifted by what counts as a contradiction, metres.
 const STRAIGHT_M: f64 = 20.0;
 
-/// A robot is carried this far at most when it is kidnapped, metres.
+/// A robot is carried this far when it is kidnapped, metres; and by its speed over the time between the scans.
 const REACH_M: f64 = 3.0;
 /// Standard deviations of the last place before it that count as well.
 const REACH_SIGMAS: f64 = 3.0;
@@ -222,14 +222,18 @@ impl BackEnd {
             nodes.windows(2).map(|pair| pair[0].local_from_base.distance_m(pair[1].local_from_base)).sum()
         };
         let (before, after) = (&nodes[last.id as usize..=first.id as usize], &nodes[first.id as usize..]);
-        let carries = since.iter().filter(|node| node.id <= first.id && is_kidnapped(node)).count();
+        let speed_max_m_s = self.config.odometry.speed_max_m_s;
+        let carries = since.iter().filter(|node| node.id <= first.id && is_kidnapped(node));
+        let carried_m = carries.map(|node| {
+            REACH_M + speed_max_m_s * (node.header.stamp - nodes[node.id as usize - 1].header.stamp)
+        });
         let unmeasured_s: f64 = since.iter().map(|node| f64::from(node.unmeasured_s)).sum();
         let covariance = self.graph.covariance(last.id);
         let sigma_m = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
-        let reach_m = REACH_M * carries as f64
+        let reach_m = carried_m.sum::<f64>()
             + REACH_SIGMAS * sigma_m
             + path_m(before)
-            + self.config.odometry.speed_max_m_s * unmeasured_s
+            + speed_max_m_s * unmeasured_s
             + PATH_DRIFT * path_m(after);
         self.graph.poses()[last.id as usize].distance_m(map_from_first) > reach_m
     }
