@@ -18,6 +18,8 @@ mod node_numbers;
 mod odometry_noise;
 mod retracted;
 mod state;
+#[cfg(test)]
+mod testing;
 mod uncertain_pieces;
 mod undo;
 

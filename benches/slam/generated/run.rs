@@ -217,8 +217,7 @@ impl Outcome {
         let truth_at = |stamp: Stamp| truth_at(steps, stamp);
         let sigma_m = |number: u32| {
             let id = back.node_from_front_end(number).unwrap_or_default();
-            let covariance = back.graph().covariance(id);
-            (covariance[(0, 0)] + covariance[(1, 1)]).sqrt()
+            back.graph().position_variance_m2(id).sqrt()
         };
         let poses: Vec<ScoredPose> = back
             .trajectory_with_places(front.samples())

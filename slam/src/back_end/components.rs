@@ -204,8 +204,8 @@ impl BackEnd {
             || turned_rad > UNMEASURED_RAD
     }
 
-    /// Whether a robot cannot have been kidnapped to where its path ends that leads back from node `id`. The path since then is
-    /// known, its heading in the map is not; of the paths between earlier losses only the length is known.
+    /// Whether a kidnapped robot cannot have gone to where node `id` was found. The path since it was kidnapped is known, its
+    /// heading in the map is not; of the paths between earlier losses only the length is known.
     fn is_beyond_reach_of_kidnapped(
         &self,
         id: u32,
@@ -228,8 +228,7 @@ impl BackEnd {
             REACH_M + speed_max_m_s * (node.header.stamp - nodes[node.id as usize - 1].header.stamp)
         });
         let unmeasured_s: f64 = since.iter().map(|node| f64::from(node.unmeasured_s)).sum();
-        let covariance = self.graph.covariance(last.id);
-        let sigma_m = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
+        let sigma_m = self.graph.position_variance_m2(last.id).sqrt();
         let reach_m = carried_m.sum::<f64>()
             + REACH_SIGMAS * sigma_m
             + path_m(before)
@@ -275,25 +274,16 @@ impl BackEnd {
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::straight_path;
     use super::*;
-    use crate::common::{FULL, Noise, cast};
-    use crate::config::SlamConfig;
-    use crate::testing::standing_node;
-    use msg::Stamp;
 
-    /// A path of 30 nodes along x, each metre and each second; before node 20 the robot was kidnapped.
+    /// A path of 30 nodes along x, each metre, at one moment; before node 20 the robot was kidnapped.
     fn kidnapped_robot() -> BackEnd {
-        let mut back = BackEnd::new(SlamConfig::default());
-        for id in 0..30 {
-            let at = Pose2::new(f64::from(id), 0.0, 0.0);
-            let stamp = Stamp::from_seconds(f64::from(id));
-            let scan = cast(&[], &FULL, at, stamp, &mut Noise::new(1));
-            let mut node = standing_node(id, &scan, at, &back.config.lidar);
-            node.odometry_break = id == 20;
-            node.disconnected_component = (id >= 20).then_some(20);
-            back.graph.add_node(at);
-            back.nodes.push(node);
+        let mut back = straight_path(30, 1.0);
+        for node in &mut back.nodes[20..] {
+            node.disconnected_component = Some(20);
         }
+        back.nodes[20].odometry_break = true;
         back
     }
 

@@ -121,11 +121,7 @@ impl BackEnd {
     /// Standard deviation of the map's position that is known worst, as seen from one node of the map, metres.
     fn largest_position_sigma_m(&self) -> f64 {
         let in_map = self.nodes.iter().filter(|node| node.is_tied());
-        let variance = |node: &Node| {
-            let covariance = self.graph.covariance(node.id);
-            covariance[(0, 0)] + covariance[(1, 1)]
-        };
-        in_map.map(variance).fold(0.0, f64::max).sqrt()
+        in_map.map(|node| self.graph.position_variance_m2(node.id)).fold(0.0, f64::max).sqrt()
     }
 
     /// Compares a node with older ones of other passes that look at the same place.

@@ -130,31 +130,17 @@ fn wrong_motion(removed: &[[u32; 2]], in_force: &[[u32; 2]]) -> Option<PathCut> 
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::straight_path;
     use super::*;
-    use crate::common::{FULL, Noise, cast};
-    use crate::config::SlamConfig;
-    use crate::testing::standing_node;
-    use msg::Stamp;
     use posegraph::information_from_sigmas;
 
     /// A path of 70 steps that claims to know each to 4.6 mm.
     fn long_path() -> BackEnd {
-        let mut back = BackEnd::new(SlamConfig::default());
-        for id in 0..70 {
-            let at = Pose2::new(0.3 * f64::from(id), 0.0, 0.0);
-            let scan = cast(&[], &FULL, at, Stamp(i64::from(id)), &mut Noise::new(1));
-            back.graph.add_node(at);
-            back.nodes.push(standing_node(id, &scan, at, &back.config.lidar));
-            if id > 0 {
-                let information = information_from_sigmas(0.0046, 0.0005);
-                back.graph.add_edge(
-                    [id - 1, id],
-                    Pose2::new(0.3, 0.0, 0.0),
-                    information,
-                    EdgeKind::Link,
-                    [0.0; 2],
-                );
-            }
+        let mut back = straight_path(70, 0.3);
+        for id in 1..70 {
+            let information = information_from_sigmas(0.0046, 0.0005);
+            let moved = Pose2::new(0.3, 0.0, 0.0);
+            back.graph.add_edge([id - 1, id], moved, information, EdgeKind::Link, [0.0; 2]);
         }
         back
     }

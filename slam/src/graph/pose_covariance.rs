@@ -53,6 +53,11 @@ impl Graph {
         self.covariances[node as usize].map_or_else(Matrix3::zeros, |way| way.covariance)
     }
 
+    /// Variance of a node's position in the map, the sum of both axes, m².
+    pub fn position_variance_m2(&self, node: u32) -> f64 {
+        self.covariances[node as usize].map_or(0.0, |way| way.spread())
+    }
+
     /// The node that the covariances are seen from.
     pub fn covariances_seen_from(&self) -> u32 {
         self.covariances_seen_from
