@@ -13,6 +13,7 @@ pub use maps::{MapReader, MapWriter};
 
 use crate::channel::{Channel, Direction, Opener};
 use crate::clock::{SystemClock, now};
+use crate::held_signals::HeldSignals;
 use crate::ports::{ChannelError, MessageSequencer, Ports, ReadPort, ReceiveCounts, WritePort};
 use bytemuck::{Pod, TransparentWrapper};
 use iceoryx2::port::listener::Listener as IpcListener;
@@ -71,6 +72,7 @@ pub struct Participant {
 impl Participant {
     /// Attaches to a run. `name` is shown by iceoryx2's tools.
     pub fn open(domain: &Domain, opener: Opener, name: &str) -> Result<Self, ChannelError> {
+        let _held = HeldSignals::hold();
         let node = NodeBuilder::new()
             .config(domain.config())
             .name(&name.try_into().map_err(failed("a process cannot be called", name))?)
@@ -83,6 +85,7 @@ impl Participant {
     /// Opens a channel to write.
     pub fn writer<T: Message>(&self, channel: &Channel<T>) -> Result<Writer<T>, ChannelError> {
         channel.check(self.opener, Direction::Write)?;
+        let _held = HeldSignals::hold();
         let publisher = self
             .service(channel)?
             .publisher_builder()
@@ -96,6 +99,7 @@ impl Participant {
     /// Opens a channel to read.
     pub fn reader<T: Message>(&self, channel: &Channel<T>) -> Result<Reader<T>, ChannelError> {
         channel.check(self.opener, Direction::Read)?;
+        let _held = HeldSignals::hold();
         let subscriber = self
             .service(channel)?
             .subscriber_builder()
@@ -123,6 +127,7 @@ impl Participant {
     /// Opens a listener that wakes its owner when the channel is written; only for channels that wake.
     pub fn listener<T: Message>(&self, channel: &Channel<T>) -> Result<Listener, ChannelError> {
         assert!(channel.row.wakes, "{} does not wake its readers", channel.name);
+        let _held = HeldSignals::hold();
         let listener = self
             .event(channel)?
             .listener_builder()

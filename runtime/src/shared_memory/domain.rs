@@ -1,6 +1,7 @@
 //! Names of one run in shared memory, and the removal of what dead processes left there.
 
 use super::failed;
+use crate::held_signals::HeldSignals;
 use crate::ports::ChannelError;
 use crate::runtime_folder::{Forbidden, Lock, check_folder};
 use iceoryx2::node::NodeView;
@@ -120,6 +121,7 @@ impl Domain {
 
     /// Removes what dead processes of this run left behind. Safe at any time.
     pub fn clean_up_after_the_dead(&self) {
+        let _held = HeldSignals::hold();
         let _ = iceoryx2::node::Node::<ipc::Service>::list(&self.config, |state| {
             if let NodeState::Dead(dead) = state {
                 let id = *dead.id();

@@ -4,6 +4,7 @@
 use super::{BORROWED_MAX, Listener, NODES_MAX, Participant, Shared, failed, service_name};
 use crate::channel::{Channel, Direction, MAP_MESSAGES_MAX};
 use crate::clock::now;
+use crate::held_signals::HeldSignals;
 use crate::ports::{
     ChannelError, MAP_REQUEST_PERIOD, MessageSequencer, ReadMapPort, ReceiveCounts, WriteMapPort,
 };
@@ -25,6 +26,7 @@ impl Participant {
     /// Opens a map's channel to write.
     pub fn map_writer(&self, channel: &Channel<PatchHeader>) -> Result<MapWriter, ChannelError> {
         channel.check(self.opener, Direction::Write)?;
+        let _held = HeldSignals::hold();
         let publisher = self
             .map_service(channel)?
             .publisher_builder()
@@ -43,6 +45,7 @@ impl Participant {
     /// Opens a map's channel to read.
     pub fn map_reader(&self, channel: &Channel<PatchHeader>) -> Result<MapReader, ChannelError> {
         channel.check(self.opener, Direction::Read)?;
+        let _held = HeldSignals::hold();
         let subscriber = self
             .map_service(channel)?
             .subscriber_builder()
