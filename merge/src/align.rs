@@ -10,7 +10,6 @@
 
 mod contradicted;
 mod distance_field;
-mod fft2;
 mod null;
 mod objects;
 mod points;

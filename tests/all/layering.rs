@@ -7,9 +7,10 @@ use std::collections::{BTreeMap, BTreeSet};
 const ARROWS: &[(&str, &[&str])] = &[
     ("msg", &[]),
     ("posegraph", &["msg"]),
+    ("fft2d", &[]),
     ("sim", &["msg"]),
     ("slam", &["msg", "posegraph"]),
-    ("merge", &["msg", "posegraph"]),
+    ("merge", &["msg", "posegraph", "fft2d"]),
     ("telemetry", &["msg"]),
     ("nav", &["msg"]),
     ("formats", &["msg"]),
@@ -30,8 +31,19 @@ const ARROWS: &[(&str, &[&str])] = &[
 ];
 
 /// Crates of pure computation: the same input gives the same output.
-const PURE: &[&str] =
-    &["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav", "ros_messages", "recording", "link"];
+const PURE: &[&str] = &[
+    "msg",
+    "posegraph",
+    "fft2d",
+    "sim",
+    "slam",
+    "merge",
+    "telemetry",
+    "nav",
+    "ros_messages",
+    "recording",
+    "link",
+];
 
 /// What a pure crate must not use, because it depends on the machine or talks to the outside.
 const IMPURE: &[&str] = &[

@@ -1,10 +1,9 @@
 //! Search over all translations at once, as one product of spectra: how well do b's walls, rotated by a candidate
 //! angle, lie on a's walls and not on its floor?
 
-use super::fft2::{Fft2, fast_size};
 use super::points::MapPoints;
+use fft2d::{Complex, Fft2, fast_size};
 use msg::Pose2;
-use rustfft::num_complex::Complex;
 
 /// Side of a cell of the correlated images, metres, unless the maps are too large for it.
 pub(crate) const COARSE_CELL_M: f64 = 0.2;
