@@ -312,7 +312,8 @@ impl BackEnd {
         self.mapper.date(header, scan_sent);
     }
 
-    /// Adds accepted closures to the graph, solves, and links the nodes around them.
+    /// Adds accepted closures to the graph, solves, and links the nodes around them. Where they and others show together that the
+    /// path is wrong, it is broken.
     fn add_closures(&mut self, closures: &[ClosureCandidate]) {
         let closures: Vec<ClosureCandidate> =
             closures.iter().filter(|closure| !self.loop_closer.is_rejected(closure)).copied().collect();
@@ -337,6 +338,7 @@ impl BackEnd {
         }
         self.loop_closer.retry_not_found();
         self.solve(false);
+        self.break_path_at_refuted_closures();
     }
 
     /// Nodes around both ends of closures, without doubles, in order.

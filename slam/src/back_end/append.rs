@@ -36,19 +36,18 @@ impl BackEnd {
         }
         let moved = previous.local_from_base.between(node.local_from_base);
         let (a, b) = (previous.id, node.id);
+        let previous_component = previous.disconnected_component;
         let map_from_node = self.graph.poses()[a as usize] * moved;
         self.loop_closer.travelled_m += moved.x_m.hypot(moved.y_m);
         self.graph.add_node(map_from_node);
         let measured = node.previous_from_this.unwrap_or(moved);
         let (kind, information) = if node.odometry_break {
-            self.loop_closer.detector.drop_pending();
-            self.location.component_relocalizer = None;
+            self.forget_searches();
             (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD))
         } else {
             (EdgeKind::Odometry, self.odometry_information(&node, measured))
         };
-        node.disconnected_component =
-            if node.odometry_break { Some(b) } else { previous.disconnected_component };
+        node.disconnected_component = if node.odometry_break { Some(b) } else { previous_component };
         self.nodes.push(node);
         self.graph.add_edge([a, b], measured, information, kind, [0.0; 2]);
     }

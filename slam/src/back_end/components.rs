@@ -92,16 +92,13 @@ impl BackEnd {
         if !agreement.is_contradicted(BREAK_SHARE, BREAK_POINTS_MIN) {
             return;
         }
-        if !self.break_odometry(unverified_edge) {
-            return;
+        if self.break_odometry(unverified_edge) {
+            self.unverified_edge = None;
+            self.update_components();
         }
-        self.unverified_edge = None;
-        self.loop_closer.detector.drop_pending();
-        self.location.component_relocalizer = None;
-        self.update_components();
     }
 
-    /// Breaks the odometry edge before a node; false if there is none.
+    /// Breaks the odometry edge before a node, and forgets the searches under way, which relied on it; false if there is none.
     pub(super) fn break_odometry(&mut self, id: u32) -> bool {
         let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == id;
         let Some(index) = self.graph.edges().iter().position(before) else { return false };
@@ -110,7 +107,14 @@ impl BackEnd {
             (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD));
         edge.variance = BREAK_VARIANCE;
         self.nodes[id as usize].odometry_break = true;
+        self.forget_searches();
         true
+    }
+
+    /// Forgets the searches for places that compare several nodes: the way between these is not known any more.
+    pub(super) fn forget_searches(&mut self) {
+        self.loop_closer.detector.drop_pending();
+        self.location.component_relocalizer = None;
     }
 
     /// Number of pieces that are not tied to the map.

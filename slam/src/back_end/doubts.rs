@@ -78,7 +78,6 @@ impl BackEnd {
             self.doubts.walls[self.doubts.cursor] = self.compare_with_older(self.doubts.cursor as u32);
         }
         if newest.is_multiple_of(SUMMARY_NODES) {
-            self.break_path_at_refuted_closures();
             self.sum_up_doubts();
         }
     }

@@ -201,15 +201,12 @@ mod tests {
         back.add_closures(&[closure(0, 12.0).to(40), closure(1, 12.0).to(41)]);
         let closure = |k: u32| closure(k, 14.7);
         back.add_closures(&[closure(0), closure(1)]);
-        back.break_path_at_refuted_closures();
         assert_eq!(
             (back.counts().closures, back.counts().retracted),
             (2, 2),
             "one pair may be a place that looks alike"
         );
         back.add_closures(&[closure(2), closure(3)]);
-        assert_eq!((back.counts().closures, back.counts().retracted), (2, 4));
-        back.break_path_at_refuted_closures();
         assert_eq!((back.counts().closures, back.counts().retracted), (6, 0));
         let end_m = back.graph.poses()[60].x_m - back.graph.poses()[0].x_m;
         assert!((end_m - 14.7).abs() < 0.05, "{end_m}");
