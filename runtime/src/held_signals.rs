@@ -1,4 +1,4 @@
-//! Signals that wait until something is done which they would break off.
+//! Holds signals back while a channel is opened.
 //!
 //! iceoryx2 sleeps and waits for file locks while it opens a channel, and gives up if a signal arrives meanwhile: a fleet that is
 //! stopped while it starts would end with an error and without a report.

@@ -17,7 +17,7 @@ pub mod progress;
 pub mod restarts;
 pub mod watchdog;
 // Files, signals and settings of a process.
-pub mod held_signals;
+mod held_signals;
 pub mod keys;
 pub mod realtime;
 pub mod recording_files;
