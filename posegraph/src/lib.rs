@@ -39,6 +39,7 @@
 //! # Ok::<(), posegraph::SolveError>(())
 //! ```
 
+mod block_cholesky;
 mod edge;
 mod information;
 mod kernel;

@@ -3,6 +3,7 @@
 use crate::edge::Edge;
 use crate::normal_equations::Structure;
 use msg::{Pose2, pose::wrap_angle};
+use nalgebra::Vector3;
 
 /// Factor by which kernels are widened at the start of a graduated solution. A closure after a long loop may be
 /// off by 100 standard deviations: with 64 times 2 it still counts nearly fully in the first iteration.
@@ -184,7 +185,7 @@ fn descend(structure: &Structure, poses: &mut [Pose2], edges: &[Edge], scale: f6
     for attempt in 0..=DAMPING_TRIES {
         let damping = if attempt == 0 { 0.0 } else { DAMPING_FIRST * DAMPING_FACTOR.powi(attempt - 1) };
         let Some(step) = structure.step(&equations, damping) else { continue };
-        let largest = step.iter().fold(0.0_f64, |largest, d| largest.max(d.abs()));
+        let largest = step.iter().fold(0.0_f64, |largest, d| largest.max(d.amax()));
         let moved = moved(poses, &step);
         if scaled_cost(&moved, edges, scale) <= limit {
             poses.copy_from_slice(&moved);
@@ -196,9 +197,9 @@ fn descend(structure: &Structure, poses: &mut [Pose2], edges: &[Edge], scale: f6
 }
 
 /// The poses after a step, the first one unmoved.
-fn moved(poses: &[Pose2], step: &[f64]) -> Vec<Pose2> {
+fn moved(poses: &[Pose2], step: &[Vector3<f64>]) -> Vec<Pose2> {
     let mut moved = poses.to_vec();
-    for (pose, d) in moved[1..].iter_mut().zip(step.chunks_exact(3)) {
+    for (pose, d) in moved[1..].iter_mut().zip(step) {
         *pose = Pose2::new(pose.x_m - d[0], pose.y_m - d[1], wrap_angle(pose.yaw_rad - d[2]));
     }
     moved
