@@ -82,7 +82,7 @@ fn node(id: usize, range_m: f32) -> Node {
         header: Header { stamp: msg::Stamp(id as i64), ..Default::default() },
         local_from_base: Pose2::IDENTITY,
         previous_from_this: None,
-        fits: true,
+        is_tracked: true,
         odometry_break: false,
         disconnected_component: None,
         uncertain_piece: None,

@@ -8,7 +8,7 @@ use formats::carmen::{Reader, Record};
 use mr_slam::config::recorded_log_slam;
 use msg::{Odometry, Pose2, Scan, SlamMode, Stamp, pose::wrap_angle};
 use rustix::time::{ClockId, clock_gettime};
-use slam::{Identity, InitialPose, Session, Slam};
+use slam::{InitialPose, Session, SessionIdentity, Slam};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -74,7 +74,7 @@ fn main() {
             first.work();
         }
         first.finish();
-        let session = first.session(Identity::new(0, 0, &recorded_log_slam()));
+        let session = first.session(SessionIdentity::new(0, 0, &recorded_log_slam()));
         let (mut starts, mut found, mut wrong) = (0, 0, 0);
         let (mut needed, mut costs) = (Vec::new(), Vec::new());
         for start in (half..lines.len().saturating_sub(SCANS)).step_by(STEP) {

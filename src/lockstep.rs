@@ -35,7 +35,7 @@ use crate::process::{Error, ProcessLoop};
 use crate::processes::ProcessRow;
 use crate::recording_files::RecordingFiles;
 use crate::run::Run;
-use crate::spare_time::Work;
+use crate::spare_time::JobExecutor;
 use ::bridge::Transport;
 use ::headset::wireless::Link;
 use ::recording::fleet::FleetRecording;
@@ -192,7 +192,13 @@ impl Lockstep {
     /// A channel cannot be opened.
     pub fn record(&self, files: RecordingFiles) -> Result<Recording<MemoryPorts>, Error> {
         let ports = MemoryPorts::attach_observer(&self.world.network, Opener::of_fleet(Program::RecordTool));
-        Recording::open(&ports, &self.world.run, files, |recorder| Ok(Work::Now(Box::new(recorder))), None)
+        Recording::open(
+            &ports,
+            &self.world.run,
+            files,
+            |recorder| Ok(JobExecutor::Now(Box::new(recorder))),
+            None,
+        )
     }
 
     /// Runs the fleet for one tick of the simulators. `message_observer` receives every message.

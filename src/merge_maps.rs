@@ -6,7 +6,7 @@ use crate::storage::Storage;
 use bytemuck::{Pod, Zeroable};
 use formats::gzip;
 use msg::tiles::{MAP_TILES_MAX, ROBOT_TILES_MAX};
-use msg::{MapHeader, MapTile, Monotonic, Rect, RobotId, TileMap};
+use msg::{IndexRect, MapHeader, MapTile, Monotonic, RobotId, TileMap};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -155,7 +155,7 @@ impl<S: Storage> MapFiles<S> {
         for tile in tiles {
             let tile: MapTile = bytemuck::pod_read_unaligned(tile);
             let (x, y) = (i64::from(tile.x), i64::from(tile.y));
-            if !map.grow_to(Rect::single(x, y), MAP_TILES_MAX) {
+            if !map.grow_to(IndexRect::single(x, y), MAP_TILES_MAX) {
                 return Err(Unusable::Map);
             }
             map.set(x, y, Some(tile.into()));
@@ -193,7 +193,7 @@ mod tests {
         let header = Header { stamp: Stamp(5), seq: 7, incarnation: 2, ..Header::default() };
         let mut map = TileMap::new(MapHeader { header, resolution_m: 0.05, ..MapHeader::default() });
         for (x, y, cell) in [(-3, 2, 60), (4, -1, -60)] {
-            assert!(map.grow_to(Rect::single(x, y), MAP_TILES_MAX));
+            assert!(map.grow_to(IndexRect::single(x, y), MAP_TILES_MAX));
             map.get_mut(x, y).unwrap().cells[9] = cell;
         }
         HeldMap { map, correction_received: Monotonic(11) }

@@ -92,12 +92,12 @@ impl<S: Storage> MergeStateFile<S> {
 
     /// Writes the state, if it has changed.
     pub fn save(&mut self, fleet: &FleetPoseGraph, now: Monotonic) {
-        let memory = fleet.snapshot();
-        if self.kept.as_ref() == Some(&memory) || now < self.due {
+        let snapshot = fleet.snapshot();
+        if self.kept.as_ref() == Some(&snapshot) || now < self.due {
             return;
         }
-        match write(&self.storage, &self.path, self.run, &memory) {
-            Ok(()) => (self.kept, self.said) = (Some(memory), None),
+        match write(&self.storage, &self.path, self.run, &snapshot) {
+            Ok(()) => (self.kept, self.said) = (Some(snapshot), None),
             Err(why) => {
                 self.due = Monotonic(now.0 + AGAIN_NS);
                 let why = why.to_string();
@@ -167,7 +167,7 @@ mod tests {
         let path = folder.path().join(FILE);
         assert!(restore(&DiskStorage, &path, 7, &mut fresh(2)).unwrap().is_none());
         let fleet = pinned();
-        let mut memory = MergeStateFile {
+        let mut state_file = MergeStateFile {
             storage: DiskStorage,
             path: path.clone(),
             run: 7,
@@ -175,7 +175,7 @@ mod tests {
             due: Monotonic(0),
             said: None,
         };
-        memory.save(&fleet, Monotonic(1));
+        state_file.save(&fleet, Monotonic(1));
         let mut again = fresh(2);
         assert_eq!(restore(&DiskStorage, &path, 7, &mut again).unwrap(), Some(fleet.snapshot()));
         assert_eq!(again.snapshot(), fleet.snapshot());
@@ -184,7 +184,7 @@ mod tests {
             fleet.map_from_robot_map(RobotId::new(2).unwrap())
         );
         std::fs::remove_file(&path).unwrap();
-        memory.save(&fleet, Monotonic(2));
+        state_file.save(&fleet, Monotonic(2));
         assert!(!path.exists());
     }
 
@@ -240,9 +240,9 @@ mod tests {
         // A file where the folder should be.
         std::fs::write(folder.path().join("run"), "").unwrap();
         let path = folder.path().join("run").join(FILE);
-        let mut memory =
+        let mut state_file =
             MergeStateFile { storage: DiskStorage, path, run: 7, kept: None, due: Monotonic(0), said: None };
-        memory.save(&pinned(), Monotonic(1));
-        assert!(memory.said.is_some() && memory.due > Monotonic(1));
+        state_file.save(&pinned(), Monotonic(1));
+        assert!(state_file.said.is_some() && state_file.due > Monotonic(1));
     }
 }

@@ -5,7 +5,7 @@
 use formats::atomic;
 use formats::map_file::{MapFileError, read_map};
 use slam::session::BYTES_MAX;
-use slam::{Identity, Session, SessionError, SlamConfig};
+use slam::{Session, SessionError, SessionIdentity, SlamConfig};
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -48,7 +48,7 @@ pub fn write(path: &Path, session: &Session) -> Result<(), SessionFileError> {
 }
 
 /// Reads a session of this robot.
-pub fn read(path: &Path, identity: &Identity) -> Result<Session, SessionFileError> {
+pub fn read(path: &Path, identity: &SessionIdentity) -> Result<Session, SessionFileError> {
     let fail = |source| SessionFileError::Io { file: path.to_owned(), source };
     let mut bytes = Vec::new();
     File::open(path)
@@ -63,7 +63,11 @@ pub fn is_map(path: &Path) -> bool {
 }
 
 /// Reads a session, or a map in its place, which becomes a session for localization.
-pub fn read_any(path: &Path, identity: &Identity, config: &SlamConfig) -> Result<Session, SessionFileError> {
+pub fn read_any(
+    path: &Path,
+    identity: &SessionIdentity,
+    config: &SlamConfig,
+) -> Result<Session, SessionFileError> {
     match is_map(path) {
         true => Ok(Session::from_grid(*identity, read_map(path)?.view(), config)),
         false => read(path, identity),

@@ -8,7 +8,7 @@ use crate::run::Run;
 use crate::session_file::{self, SessionFileError};
 use crate::storage::Storage;
 use msg::{Pose2, RobotId, SlamMode};
-use slam::{Identity, Session};
+use slam::{Session, SessionIdentity};
 use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -75,7 +75,11 @@ pub fn folder(run: &Run) -> PathBuf {
 }
 
 /// Reads a robot's session from wherever a run's files are.
-pub fn read(storage: &impl Storage, path: &Path, identity: &Identity) -> Result<Session, SessionFileError> {
+pub fn read(
+    storage: &impl Storage,
+    path: &Path,
+    identity: &SessionIdentity,
+) -> Result<Session, SessionFileError> {
     let bytes = storage
         .read(path, ::slam::session::BYTES_MAX as u64)
         .map_err(|source| SessionFileError::Io { file: path.to_owned(), source })?;
@@ -83,14 +87,14 @@ pub fn read(storage: &impl Storage, path: &Path, identity: &Identity) -> Result<
 }
 
 /// Returns the identity of a robot of a run.
-pub fn identity(run: &Run, robot: RobotId) -> Identity {
-    Identity::new(robot.number() as u32, run.begun.0, &run.config.slam)
+pub fn identity(run: &Run, robot: RobotId) -> SessionIdentity {
+    SessionIdentity::new(robot.number() as u32, run.begun.0, &run.config.slam)
 }
 
 /// Reads the session that a robot begins with, if there is one.
 pub fn first(config: &FleetConfig, robot: RobotId) -> Result<Option<Session>, SessionFileError> {
     let Some(path) = config.sessions.folder().map(|folder| file(folder, robot)) else { return Ok(None) };
-    match session_file::read(&path, &Identity::new(robot.number() as u32, 0, &config.slam)) {
+    match session_file::read(&path, &SessionIdentity::new(robot.number() as u32, 0, &config.slam)) {
         Ok(session) => Ok(Some(session)),
         Err(why) if why.is_missing() => Ok(None),
         Err(why) => Err(why),

@@ -245,7 +245,7 @@ fn notice_death(member: &mut Member, tell: &mut dyn FnMut(String)) -> bool {
 }
 
 fn record_death(member: &mut Member, tell: &mut dyn FnMut(String)) {
-    if member.policy.on_death(now()) == State::Held {
+    if member.policy.on_death(now()) == State::GivenUp {
         tell(format!("the {} died {DEATHS_MAX} times in a row and is not started again", member.name()));
     }
 }

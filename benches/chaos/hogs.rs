@@ -42,10 +42,11 @@ pub fn spin() -> ! {
 }
 
 /// Processes that compute without end, one for each core, until they are dropped.
-struct Hogs(Vec<Child>);
+pub struct Hogs(Vec<Child>);
 
 impl Hogs {
-    fn start() -> Result<Self, Box<dyn Error>> {
+    /// Starts them.
+    pub fn start() -> Result<Self, Box<dyn Error>> {
         let cores = std::thread::available_parallelism()?.get();
         let mut hogs = Self(Vec::new());
         for _ in 0..cores {

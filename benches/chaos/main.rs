@@ -2,7 +2,7 @@
 //!
 //! `cargo bench --bench chaos [-- --minutes 10 --kills 100 --seconds 30 --seed 1 --robots 3 --parts kills,hogs --json FILE --check]`
 //!
-//! Parts: `kills` (random processes are killed), `stops` (each kind is stopped for 5 s), `disk` (full while recording and
+//! Parts: `kills` (random processes are killed), `stops` (each kind is stopped for 5 s), `starts` (fleets are stopped while they start), `disk` (full while recording and
 //! saving), `shm` (shared memory is full), `hogs` (both cores are busy), `clock` (time jumps, in lockstep), `operator` (it
 //! vanishes while another process is killed). What the machine does not permit is not checked, and the table says so.
 
@@ -13,6 +13,7 @@ mod hogs;
 mod kills;
 #[path = "../launcher.rs"]
 mod launcher;
+mod starts;
 mod stops;
 mod vanishing;
 mod watch;
@@ -45,7 +46,7 @@ use std::time::Duration;
 use words::Words;
 
 /// Parts in the order in which they are run.
-const PARTS: [&str; 7] = ["kills", "stops", "operator", "disk", "shm", "hogs", "clock"];
+const PARTS: [&str; 8] = ["kills", "stops", "starts", "operator", "disk", "shm", "hogs", "clock"];
 
 /// One row of the table.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -172,6 +173,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let of_part = match *part {
             "kills" => kills::run(&args),
             "stops" => stops::run(&args),
+            "starts" => starts::run(&args),
             "disk" => confined::run(confined::DISK, &words),
             "shm" => confined::run(confined::SHM, &words),
             "hogs" => hogs::run(&args),

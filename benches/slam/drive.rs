@@ -10,7 +10,9 @@ use formats::map_file::write_map;
 use msg::{Odometry, Scan};
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
-use slam::{BackEnd, EdgeKind, FrontEnd, MapDoubts, Node, Revision, ScanResult, Slam, Stage, StageObserver};
+use slam::{
+    BackEnd, EdgeKind, FrontEnd, MapDoubts, MapFrameUpdate, Node, ScanResult, Slam, Stage, StageObserver,
+};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, mpsc};
@@ -284,7 +286,7 @@ fn wrong(back: &BackEnd, truth: &Trajectory, kind: EdgeKind) -> usize {
         let error = a.between(b).between(edge.a_from_b);
         error.x_m.hypot(error.y_m) > WRONG_M || error.yaw_rad.abs() > WRONG_RAD
     };
-    back.graph().edges().iter().filter(|edge| edge.in_force && edge.kind == kind).filter(wrong).count()
+    back.graph().edges().iter().filter(|edge| edge.is_active && edge.kind == kind).filter(wrong).count()
 }
 
 /// Largest log when unpacked, bytes: a safety limit, public logs are below 100 MB.
@@ -337,7 +339,7 @@ fn replay(log: &[u8], task: &Task, sums: &Arc<StageSums>) -> Result<Replayed, St
     front.observe_stages(Stopwatch::new(sums));
     back.observe_stages(Stopwatch::new(sums));
     let (to_back, nodes) = mpsc::sync_channel::<Node>(WAITING_MAX);
-    let (to_front, revisions) = mpsc::channel::<Revision>();
+    let (to_front, frame_updates) = mpsc::channel::<MapFrameUpdate>();
     let mut scans = Vec::new();
     let besides = std::thread::scope(|scope| {
         let back = &mut back;
@@ -345,7 +347,7 @@ fn replay(log: &[u8], task: &Task, sums: &Arc<StageSums>) -> Result<Replayed, St
         let mut message = Box::new(Scan::zeroed());
         for (seq, line) in std::iter::once(first).chain(lines).enumerate() {
             line.write_to(&mut message, seq as u64, varied.fov_deg.map(f64::to_radians));
-            let (took, step) = scan(&mut front, &line, &message, &revisions);
+            let (took, step) = scan(&mut front, &line, &message, &frame_updates);
             scans.push(took);
             if let Some(node) = step.node {
                 let _ = to_back.send(node);
@@ -363,7 +365,7 @@ fn scan(
     front: &mut FrontEnd,
     line: &LaserLine,
     message: &Scan,
-    revisions: &mpsc::Receiver<Revision>,
+    frame_updates: &mpsc::Receiver<MapFrameUpdate>,
 ) -> (Took, ScanResult) {
     let header = msg::Header { stamp: line.stamp, ..Default::default() };
     let odometry = Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() };
@@ -371,7 +373,7 @@ fn scan(
     let (wall, cpu) = (Instant::now(), thread_cpu_ns());
     let counted = measure(|| {
         front.add_odometry(&odometry);
-        revisions.try_iter().for_each(|revision| front.add_revision(revision));
+        frame_updates.try_iter().for_each(|frame_update| front.add_frame_update(frame_update));
         step = Some(front.process(message));
     });
     let (wall_ns, cpu_ns) = (wall.elapsed().as_nanos() as u64, thread_cpu_ns() - cpu);
@@ -383,7 +385,7 @@ fn scan(
 fn work_beside(
     back: &mut BackEnd,
     nodes: mpsc::Receiver<Node>,
-    to_front: mpsc::Sender<Revision>,
+    to_front: mpsc::Sender<MapFrameUpdate>,
 ) -> Vec<Took> {
     let mut besides = Vec::new();
     let mut timed = |work: &mut dyn FnMut()| {
@@ -395,9 +397,9 @@ fn work_beside(
     for node in nodes {
         let mut node = Some(node);
         timed(&mut || {
-            let revision = node.take().map(|node| back.add_node(node));
+            let frame_update = node.take().map(|node| back.add_node(node));
             // The log may have ended, then nobody listens.
-            let _ = revision.map(|revision| to_front.send(revision));
+            let _ = frame_update.map(|frame_update| to_front.send(frame_update));
         });
     }
     timed(&mut || back.finish());

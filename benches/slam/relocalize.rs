@@ -10,7 +10,7 @@ use crate::settings::slam_config;
 use formats::carmen::{LaserLine, Reader, Record};
 use msg::{Odometry, Pose2, Scan, SlamMode, pose::wrap_angle};
 use serde::{Deserialize, Serialize};
-use slam::{Identity, InitialPose, Session, Slam, SlamConfig};
+use slam::{InitialPose, Session, SessionIdentity, Slam, SlamConfig};
 use std::path::PathBuf;
 
 /// Scans after which a robot counts as not found.
@@ -73,7 +73,7 @@ pub fn drive(task: &Task) -> Result<Outcome, String> {
     };
     feed(&mut slam, &lines[..half]);
     slam.finish();
-    let session = slam.session(Identity::new(0, 0, &config));
+    let session = slam.session(SessionIdentity::new(0, 0, &config));
     let map_poses = session.back.poses.clone();
     let robot_lines = if same { Vec::new() } else { self::lines(&task.robot)? };
     let (driven, truth) = if same {

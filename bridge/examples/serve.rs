@@ -5,7 +5,7 @@
 use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve};
 use bytemuck::Zeroable;
 use msg::{
-    Clock, Correction, FleetStats, GridHeader, GridView, Header, Link, LinkTransform, Odometry, Pose2,
+    Clock, Correction, FleetStats, GridHeader, GridView, Header, LinkTransform, Odometry, Pose2, RobotFrame,
     RobotId, Scan, Stamp, Transforms,
 };
 use std::net::Ipv4Addr;
@@ -79,14 +79,14 @@ fn links(header: Header, place: Pose2) -> Transforms {
     let (sin, cos) = (place.yaw_rad / 2.0).sin_cos();
     let mut message = Transforms { header, len: 2, ..Transforms::default() };
     message.links[0] = LinkTransform {
-        parent: Link::Odom as u32,
-        child: Link::BaseFootprint as u32,
+        parent: RobotFrame::Odom as u32,
+        child: RobotFrame::BaseFootprint as u32,
         translation_m: [place.x_m, place.y_m, 0.0],
         rotation_xyzw: [0.0, 0.0, sin, cos],
     };
     message.links[1] = LinkTransform {
-        parent: Link::BaseFootprint as u32,
-        child: Link::BaseScan as u32,
+        parent: RobotFrame::BaseFootprint as u32,
+        child: RobotFrame::BaseScan as u32,
         translation_m: [-0.032, 0.0, 0.182],
         rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
     };

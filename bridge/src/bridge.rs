@@ -19,7 +19,7 @@ use crate::relay::{RosCommand, RosEvent};
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters};
 use crate::world::{ExternalWorld, WorldInput};
 use msg::{
-    EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, OperatorEvent, RobotId, Sender,
+    CommandSource, EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, OperatorEvent, RobotId,
     SlamRequest, SlamResponse, Stamp, VelocityCommand, ZoneCommand,
 };
 use ros_messages::RobotNames;
@@ -177,7 +177,7 @@ impl Bridge {
         let result = {
             let core = &mut *self.core.borrow_mut();
             let result = change(core);
-            core.commands.set_sender(Sender::BRIDGE);
+            core.commands.set_sender(CommandSource::BRIDGE);
             core.router.flush();
             result
         };
@@ -256,7 +256,7 @@ impl Bridge {
     /// Handles what the ROS 2 endpoint tells: messages, requests, responses, and changes of the ROS graph.
     pub fn receive_ros(&self, event: RosEvent, now: Monotonic) {
         self.update(|core| {
-            core.commands.set_sender(Sender::ROS2);
+            core.commands.set_sender(CommandSource::ROS2);
             core.receive_ros(event, now);
         });
     }

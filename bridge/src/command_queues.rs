@@ -1,8 +1,8 @@
 //! Bounded queues of clients' commands to the rest of the fleet.
 
 use msg::{
-    EdgeCommand, ExplorationCommand, Monotonic, NavigationAction, NavigationCommand, OperatorAction,
-    OperatorEvent, ROBOTS_MAX, RobotId, Sender, SlamRequest, VelocityCommand, ZONES_MAX, ZoneCommand,
+    CommandSource, EdgeCommand, ExplorationCommand, Monotonic, NavigationAction, NavigationCommand,
+    OperatorAction, OperatorEvent, ROBOTS_MAX, RobotId, SlamRequest, VelocityCommand, ZONES_MAX, ZoneCommand,
 };
 use std::collections::VecDeque;
 
@@ -34,11 +34,11 @@ pub struct CommandQueues {
     zones: VecDeque<ZoneCommand>,
     operator_events: VecDeque<OperatorEvent>,
     /// Who gave each robot its newest goal.
-    goal_senders: [Sender; ROBOTS_MAX],
+    goal_senders: [CommandSource; ROBOTS_MAX],
     /// Who started or stopped the exploration last.
-    exploration_sender: Sender,
+    exploration_sender: CommandSource,
     /// Who sends what is queued now.
-    sender: Sender,
+    sender: CommandSource,
     velocities_taken: u64,
 }
 
@@ -53,9 +53,9 @@ impl Default for CommandQueues {
             exploration: None,
             zones: VecDeque::new(),
             operator_events: VecDeque::new(),
-            goal_senders: [Sender::default(); ROBOTS_MAX],
-            exploration_sender: Sender::default(),
-            sender: Sender::BRIDGE,
+            goal_senders: [CommandSource::default(); ROBOTS_MAX],
+            exploration_sender: CommandSource::default(),
+            sender: CommandSource::BRIDGE,
             velocities_taken: 0,
         }
     }
@@ -63,19 +63,19 @@ impl Default for CommandQueues {
 
 impl CommandQueues {
     /// Sets who sends what is queued from now on.
-    pub fn set_sender(&mut self, sender: Sender) {
+    pub fn set_sender(&mut self, sender: CommandSource) {
         self.sender = sender;
     }
 
     /// Returns who sends what is queued now.
-    pub fn sender(&self) -> Sender {
+    pub fn sender(&self) -> CommandSource {
         self.sender
     }
 
     /// Queues an action of the sender, for the record; the oldest is dropped if the queue is full. The bridge is no operator:
     /// what it does by itself, as after a restart, is none.
     pub fn push_operator_event(&mut self, action: OperatorAction, robot: Option<RobotId>) {
-        if self.sender == Sender::BRIDGE {
+        if self.sender == CommandSource::BRIDGE {
             return;
         }
         if self.operator_events.len() == OPERATOR_EVENTS_MAX {
@@ -162,12 +162,12 @@ impl CommandQueues {
     }
 
     /// Returns who gave a robot its newest goal.
-    pub fn goal_sender(&self, robot: RobotId) -> Sender {
+    pub fn goal_sender(&self, robot: RobotId) -> CommandSource {
         self.goal_senders[robot.index()]
     }
 
     /// Returns who started or stopped the exploration last.
-    pub fn exploration_sender(&self) -> Sender {
+    pub fn exploration_sender(&self) -> CommandSource {
         self.exploration_sender
     }
 
@@ -207,7 +207,7 @@ impl CommandQueues {
             self.slam_requests.pop_front();
         }
         // The second request of a call is queued after an answer, in its caller's name.
-        let sender = if request.sender == Sender::default() { self.sender } else { request.sender };
+        let sender = if request.sender == CommandSource::default() { self.sender } else { request.sender };
         self.slam_requests.push_back((robot, SlamRequest { sender, ..request }));
     }
 

@@ -19,7 +19,7 @@ use crate::command::{handshake, name};
 use crate::command_queues::CommandQueues;
 use crate::config::BridgeConfig;
 use crate::drive::velocity_gate::{Velocity, VelocityGate};
-use crate::drive::{DriveArbiter, Driver};
+use crate::drive::{DriveArbiter, LeaseHolder};
 use crate::fleet_topics::{FleetMessage, FleetTopic, FleetTopics};
 use crate::frame::{Frame, Side};
 use crate::relay::RelayTable;
@@ -29,7 +29,7 @@ use crate::router::{
 use crate::services::{Provider, ServiceCalls};
 use crate::slam_services::SlamServices;
 use crate::world::WorldInput;
-use msg::{FleetStats, Header, Monotonic, OperatorAction, RobotId, Sender, VelocityCommand};
+use msg::{CommandSource, FleetStats, Header, Monotonic, OperatorAction, RobotId, VelocityCommand};
 use ros_messages::{Bool, Int32, RobotNames, Twist};
 use std::net::SocketAddr;
 
@@ -125,7 +125,7 @@ impl Core {
     pub fn receive(&mut self, id: ClientId, frame: Frame<'_>, now: Monotonic) {
         self.commands.set_sender(self.sender(id));
         self.receive_frame(id, frame, now);
-        self.commands.set_sender(Sender::BRIDGE);
+        self.commands.set_sender(CommandSource::BRIDGE);
     }
 
     fn receive_frame(&mut self, id: ClientId, frame: Frame<'_>, now: Monotonic) {
@@ -233,22 +233,22 @@ impl Core {
     }
 
     /// Returns a client as the sender of commands.
-    fn sender(&self, id: ClientId) -> Sender {
+    fn sender(&self, id: ClientId) -> CommandSource {
         match self.router.client(id) {
-            Some(client) => Sender::client(client.peer),
-            None if id == ClientId::DDS => Sender::ROS2,
-            None => Sender::default(),
+            Some(client) => CommandSource::client(client.peer),
+            None if id == ClientId::DDS => CommandSource::ROS2,
+            None => CommandSource::default(),
         }
     }
 
     /// Returns a client as the driver of a robot.
-    fn driver(&self, id: ClientId) -> Driver {
+    fn driver(&self, id: ClientId) -> LeaseHolder {
         let address = self.router.client(id).map(|client| client.peer.ip().to_canonical());
-        Driver { client: Some(id), address }
+        LeaseHolder { client: Some(id), address }
     }
 
     /// Returns a driver's name for people.
-    fn driver_name(&self, driver: Driver) -> String {
+    fn driver_name(&self, driver: LeaseHolder) -> String {
         match (driver.client, driver.address) {
             (Some(id), _) => self.client_name(id),
             (None, Some(address)) => format!("{address}, which drove it before the bridge was restarted"),

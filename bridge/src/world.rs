@@ -25,7 +25,8 @@ pub use suspects::OutlierError;
 
 use checks::{check_link, check_scan, empty_scan, planar_pose};
 use msg::{
-    Clock, LINKS_MAX, Link, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotId, Scan, Stamp, Transforms,
+    Clock, LINKS_MAX, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotId, Scan, Stamp,
+    Transforms,
 };
 use ros_messages::cdr::Reader;
 use ros_messages::names::{FleetFrame, RobotNames};
@@ -200,7 +201,7 @@ impl ExternalWorld {
     ) -> Result<(), WorldError> {
         self.check_source(origin, robot)?;
         let transform = read::odometry(&mut from)?;
-        let link = check_link(Link::Odom, Link::BaseFootprint, &transform)?;
+        let link = check_link(RobotFrame::Odom, RobotFrame::BaseFootprint, &transform)?;
         let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
         let is_new = state.last_pose.is_none_or(|(_, before, _)| stamp > before);
@@ -255,18 +256,20 @@ impl ExternalWorld {
         &self,
         of: Option<RobotId>,
         transform: &Transform<'_>,
-    ) -> Result<Option<(RobotId, Link, Link)>, TransformError> {
+    ) -> Result<Option<(RobotId, RobotFrame, RobotFrame)>, TransformError> {
         let robot_count = self.names.count();
         let parse = |name| match of {
             Some(robot) => self.names.parse_frame_of(robot, name).map(|frame| (robot, frame)),
             None => self.names.parse_frame(name),
         };
-        let Some((robot, FleetFrame::Link(child))) = parse(transform.child_frame_id) else { return Ok(None) };
+        let Some((robot, FleetFrame::Robot(child))) = parse(transform.child_frame_id) else {
+            return Ok(None);
+        };
         if robot.number() > robot_count {
             return Err(TransformError::NoSuchRobot { robot_count });
         }
         match parse(transform.frame_id).filter(|(of, _)| *of == robot) {
-            Some((_, FleetFrame::Link(parent))) => Ok(Some((robot, parent, child))),
+            Some((_, FleetFrame::Robot(parent))) => Ok(Some((robot, parent, child))),
             _ => Err(TransformError::Parent { robot }),
         }
     }
@@ -280,7 +283,7 @@ impl ExternalWorld {
     ) -> Result<(), WorldError> {
         let (parent, child) = (transform.frame_id, transform.child_frame_id);
         let own = of.and_then(|robot| self.names.parse_frame_of(robot, child));
-        let is_own_odom = matches!(own, Some(FleetFrame::Map | FleetFrame::Link(Link::Odom)));
+        let is_own_odom = matches!(own, Some(FleetFrame::Map | FleetFrame::Robot(RobotFrame::Odom)));
         if is_own_odom || self.names.is_correction(parent, child) {
             return Err(WorldError::Correction { parent: parent.into(), child: child.into() });
         }
@@ -293,9 +296,11 @@ impl ExternalWorld {
         let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
         state.source = Some((origin.source, origin.received));
-        if parent_link == Link::Odom && matches!(child_link, Link::BaseFootprint | Link::BaseLink) {
-            state.has_footprint |= child_link == Link::BaseFootprint;
-            if child_link == Link::BaseFootprint || !state.has_footprint {
+        if parent_link == RobotFrame::Odom
+            && matches!(child_link, RobotFrame::BaseFootprint | RobotFrame::BaseLink)
+        {
+            state.has_footprint |= child_link == RobotFrame::BaseFootprint;
+            if child_link == RobotFrame::BaseFootprint || !state.has_footprint {
                 self.send_odometry(robot, transform.stamp, stamp, &link).map_err(wrong)?;
             }
         }

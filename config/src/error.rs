@@ -195,14 +195,18 @@ mod tests {
         for (text, key, line) in [
             ("# world = 1\nworld = \"ros\"\n", "world", Some(2)),
             ("[fleet]\nrobots_ = 1\nrobots = 2\n", "fleet.robots", Some(3)),
-            ("[slam.map]\nhit = 1\n\n[slam]\nmap_ = 1\n[sim.noise]\nhit = 3", "slam.map.hit", Some(2)),
-            ("slam.map.hit = 1", "slam.map.hit", Some(1)),
-            ("\nslam = { map = { hit = 1 } }", "slam.map.hit", Some(2)),
-            ("[slam]\n\"map\".'hit' = 1", "slam.map.hit", Some(2)),
+            (
+                "[slam.map]\nhit_log_odds = 1\n\n[slam]\nmap_ = 1\n[sim.noise]\nhit = 3",
+                "slam.map.hit_log_odds",
+                Some(2),
+            ),
+            ("slam.map.hit_log_odds = 1", "slam.map.hit_log_odds", Some(1)),
+            ("\nslam = { map = { hit_log_odds = 1 } }", "slam.map.hit_log_odds", Some(2)),
+            ("[slam]\n\"map\".'hit_log_odds' = 1", "slam.map.hit_log_odds", Some(2)),
             ("[fleet]\nstarts = [\n  [0, 0, 0],\n  [1, nan, 0],\n]\n", "fleet.starts[1]", Some(4)),
             ("[[a.b]]\nx = 1\n[[a.b]]\n\nx = 2\n", "a.b[1].x", Some(5)),
-            ("[slam]\n", "slam.map.hit", None),
-            ("slam = 3\n", "slam.map.hit", None),
+            ("[slam]\n", "slam.map.hit_log_odds", None),
+            ("slam = 3\n", "slam.map.hit_log_odds", None),
         ] {
             assert_eq!(line_of_key(text, key), line, "{key} in {text}");
         }

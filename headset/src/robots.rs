@@ -4,7 +4,7 @@ use bridge::command::{Registration, name};
 use bridge::frame::Side;
 use bridge::ros::{self, FrameNames, Message as _, NameStyle, Twist, write};
 use bytemuck::Zeroable;
-use msg::{GroundTruth, Link, Pose2, RobotId, Scan, Stamp, VelocityCommand};
+use msg::{GroundTruth, Pose2, RobotFrame, RobotId, Scan, Stamp, VelocityCommand};
 use ros_messages::RobotNames;
 use ros_messages::cdr::Writer;
 use sim::Simulator;
@@ -101,7 +101,7 @@ impl HeadsetRobots {
             if tick.scan_due {
                 simulator.scan_into(&mut self.scan);
                 let (topic, link) =
-                    (self.names.topic(*id, "scan"), self.frame_names.link(*id, Link::BaseScan));
+                    (self.names.topic(*id, "scan"), self.frame_names.robot_frame(*id, RobotFrame::BaseScan));
                 frame(out, &topic, |to| write::laser_scan(to, link, &self.scan));
             }
         }

@@ -10,7 +10,7 @@ use crate::scan::{DecimatedScan, ScanRate};
 use crate::table::Kind;
 use crate::wire::{BaseState, Chunk, Message, RobotState, WireError};
 use msg::tiles::ROBOT_TILES_MAX;
-use msg::{Correction, Monotonic, Rect, Submap, SubmapPoses, TileMap, Transforms, VelocityCommand};
+use msg::{Correction, IndexRect, Monotonic, Submap, SubmapPoses, TileMap, Transforms, VelocityCommand};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -182,7 +182,7 @@ impl BaseEnd {
         match self.receiver.receive(chunk)? {
             (_, PartChange::Replaced(PartContent::Tile(tile))) => {
                 let (x, y) = (i64::from(tile.x), i64::from(tile.y));
-                let fits = self.tiles.grow_to(Rect::single(x, y), ROBOT_TILES_MAX);
+                let fits = self.tiles.grow_to(IndexRect::single(x, y), ROBOT_TILES_MAX);
                 self.tiles.set(x, y, Some(tile));
                 fits.then_some(BaseEvent::Map)
             }

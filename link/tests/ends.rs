@@ -4,8 +4,8 @@ use link::leadership::SILENCE_MAX;
 use link::{BaseEnd, BaseEvent, Kind, RobotEnd, RobotEvent, ScanRate, SenderConfig, StopRequest};
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
-    Correction, MapHeader, Monotonic, Pose2, Rect, Scan, Stamp, Submap, SubmapPoses, TileMap, Transforms,
-    VelocityCommand,
+    Correction, IndexRect, MapHeader, Monotonic, Pose2, Scan, Stamp, Submap, SubmapPoses, TileMap,
+    Transforms, VelocityCommand,
 };
 
 /// Step of time, milliseconds.
@@ -67,7 +67,7 @@ impl Machines {
 
     fn draw(&mut self, tiles: std::ops::Range<i64>, cell: i8) {
         for x in tiles {
-            assert!(self.map.grow_to(Rect::single(x, 0), ROBOT_TILES_MAX));
+            assert!(self.map.grow_to(IndexRect::single(x, 0), ROBOT_TILES_MAX));
             self.map.get_mut(x, 0).unwrap().cells[7] = cell;
         }
         let now = self.robot_now();

@@ -37,7 +37,7 @@ mod submaps;
 mod task;
 
 pub use snapshot::{FleetSnapshot, SnapshotRejected};
-pub use task::{Outcome, Task};
+pub use task::{Task, TaskResult};
 
 use crate::config::MergeConfig;
 use crate::limits::is_plausible;
@@ -80,7 +80,7 @@ pub enum SubmapRejected {
 /// let starts = [Some(Pose2::IDENTITY), Some(Pose2::new(4.0, 0.0, 1.5))];
 /// let mut graph = FleetPoseGraph::new(&MergeConfig::default(), &starts);
 /// while let Some(task) = graph.next_task() {
-///     graph.apply_outcome(task.run());
+///     graph.apply_result(task.run());
 /// }
 /// let second = RobotId::new(2).unwrap();
 /// assert_eq!(graph.map_from_robot_map(second), starts[1]);
@@ -206,7 +206,7 @@ impl FleetPoseGraph {
     }
 
     /// The next step of work, if there is any and none is being done. Its result goes to
-    /// [`FleetPoseGraph::apply_outcome`].
+    /// [`FleetPoseGraph::apply_result`].
     pub fn next_task(&mut self) -> Option<Task> {
         if self.task_is_out {
             return None;
@@ -224,7 +224,7 @@ impl FleetPoseGraph {
     }
 
     /// Applies the result of a task.
-    pub fn apply_outcome(&mut self, outcome: Outcome) {
+    pub fn apply_result(&mut self, outcome: TaskResult) {
         self.task_is_out = false;
         if outcome.sources != self.sources() {
             // A robot's SLAM was restarted meanwhile: the result is about submaps that are gone.

@@ -26,5 +26,5 @@ mod swept_path;
 
 pub use align::{Alignment, align, align_near};
 pub use config::{AlignConfig, CheckConfig, ClosureConfig, InvalidMergeConfig, MergeConfig, WallConfig};
-pub use fleet_graph::{FleetPoseGraph, FleetSnapshot, Outcome, SnapshotRejected, SubmapRejected, Task};
+pub use fleet_graph::{FleetPoseGraph, FleetSnapshot, SnapshotRejected, SubmapRejected, Task, TaskResult};
 pub use merger::{MapRejected, Merger};

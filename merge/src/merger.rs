@@ -12,8 +12,8 @@ use crate::robot_map::{RobotMap, lattice_tiles};
 use fuse::fuse_tile;
 use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
 use msg::{
-    DenseMap, Grid, GridHeader, GridView, Header, MapHeader, MapTransform, MapTransforms, Monotonic, Pose2,
-    ROBOTS_MAX, Rect, RobotId, TileMap,
+    DenseMap, Grid, GridHeader, GridView, Header, IndexRect, MapHeader, MapTransform, MapTransforms,
+    Monotonic, Pose2, ROBOTS_MAX, RobotId, TileMap,
 };
 use std::sync::Arc;
 
@@ -286,7 +286,7 @@ impl Merger {
                 let changed = map.changed_since(&source.drawn);
                 let changed = changed.filter(|(x, y)| map.get(*x, *y) != source.drawn.get(*x, *y));
                 for (x, y) in changed {
-                    let tiles = resampler.lattice_cells(Rect::cells_of_tile(x, y)).tiles();
+                    let tiles = resampler.lattice_cells(IndexRect::cells_of_tile(x, y)).tiles();
                     mark(&mut self.stale, self.merged.extent(), tiles);
                 }
             }
@@ -304,7 +304,7 @@ impl Merger {
     }
 
     /// Extends the merged map to a robot's tiles. It shrinks only if it would exceed its limit otherwise.
-    fn grow_to(&mut self, robot: RobotId, tiles: Rect) -> Result<(), MapRejected> {
+    fn grow_to(&mut self, robot: RobotId, tiles: IndexRect) -> Result<(), MapRejected> {
         let others = self.robots.iter().enumerate().filter(|(index, _)| *index != robot.index());
         let needed = others.fold(tiles, |all, (_, other)| all.union(other.tiles));
         let before = self.merged.extent();
@@ -323,7 +323,7 @@ impl Merger {
         if extent != before {
             let mut stale = vec![false; extent.width() * extent.height()];
             let marked = before.points().zip(&self.stale).filter(|(_, stale)| **stale);
-            marked.for_each(|((x, y), _)| mark(&mut stale, extent, Rect::single(x, y)));
+            marked.for_each(|((x, y), _)| mark(&mut stale, extent, IndexRect::single(x, y)));
             self.stale = stale;
         }
         Ok(())
@@ -344,7 +344,7 @@ fn header_of(grid: &GridHeader) -> MapHeader {
     MapHeader { header, scan_sent, origin, resolution_m }
 }
 
-fn mark(stale: &mut [bool], extent: Rect, tiles: Rect) {
+fn mark(stale: &mut [bool], extent: IndexRect, tiles: IndexRect) {
     for (x, y) in tiles.intersect(extent).points() {
         stale[extent.index(x, y)] = true;
     }

@@ -2,7 +2,7 @@
 
 use msg::grid::UNKNOWN;
 use msg::tiles::{TILE, TILE_CELLS};
-use msg::{MapTile, Pose2, Rect, TileMap};
+use msg::{IndexRect, MapTile, Pose2, TileMap};
 
 /// Added to every input coordinate, in cells: an output centre on the border of two input cells always takes the same
 /// one, whatever the last bit of a sine is.
@@ -74,9 +74,9 @@ impl Resampler {
     }
 
     /// Bounding box of all lattice cells that read the robot's `cells`.
-    pub fn lattice_cells(&self, cells: Rect) -> Rect {
+    pub fn lattice_cells(&self, cells: IndexRect) -> IndexRect {
         if cells.is_empty() {
-            return Rect::default();
+            return IndexRect::default();
         }
         let determinant = self.per_x[0] * self.per_y[1] - self.per_x[1] * self.per_y[0];
         let mut hull = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
@@ -92,11 +92,11 @@ impl Resampler {
         let first =
             |least: f64| (least - inset - BOX_SLACK_CELLS).ceil() as i64 - i64::from(self.samples > 1);
         let end = |most: f64| (most - inset + BOX_SLACK_CELLS).floor() as i64 + 1;
-        Rect { x0: first(hull[0]), y0: first(hull[1]), x1: end(hull[2]), y1: end(hull[3]) }
+        IndexRect { x0: first(hull[0]), y0: first(hull[1]), x1: end(hull[2]), y1: end(hull[3]) }
     }
 
     /// Bounding box of the robot's cells that a tile of the lattice reads.
-    fn cells_under(&self, tile: Rect) -> Rect {
+    fn cells_under(&self, tile: IndexRect) -> IndexRect {
         let [x0, y0, x1, y1] = [tile.x0, tile.y0, tile.x1, tile.y1].map(|v| v as f64);
         let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(|[x, y]| self.input_at(x, y));
         let [mut low, mut high] = [corners[0]; 2];
@@ -106,12 +106,12 @@ impl Resampler {
             }
         }
         let (low, high) = (low.map(|v| v.floor() as i64), high.map(|v| v.floor() as i64 + 1));
-        Rect { x0: low[0], y0: low[1], x1: high[0], y1: high[1] }
+        IndexRect { x0: low[0], y0: low[1], x1: high[0], y1: high[1] }
     }
 
     /// Resamples one tile of the lattice into `buffer.tile`. False if nothing is known anywhere near it.
     pub fn resample_tile(&self, x: i64, y: i64, map: &TileMap, buffer: &mut ResampleBuffer) -> bool {
-        let tile = Rect::cells_of_tile(x, y);
+        let tile = IndexRect::cells_of_tile(x, y);
         let under = self.cells_under(tile);
         if !under.tiles().points().any(|(x, y)| map.get(x, y).is_some()) {
             return false;
@@ -127,7 +127,7 @@ impl Resampler {
     }
 
     /// Takes the nearest input cell at every output centre: no rotation leaves holes.
-    fn resample_nearest(&self, tile: Rect, under: Rect, buffer: &mut ResampleBuffer) {
+    fn resample_nearest(&self, tile: IndexRect, under: IndexRect, buffer: &mut ResampleBuffer) {
         let corner = [(under.tiles().x0 * TILE) as f64, under.y0 as f64];
         let is_translation = self.per_x == [1.0, 0.0];
         let [steps_u, steps_v] = &self.steps;
@@ -152,7 +152,7 @@ impl Resampler {
 
     /// Takes the largest of several samples of finer input cells: the surest obstacle, or else the least sure free
     /// space. A thin wall does not fall between the samples.
-    fn resample_finer(&self, tile: Rect, map: &TileMap, buffer: &mut ResampleBuffer) {
+    fn resample_finer(&self, tile: IndexRect, map: &TileMap, buffer: &mut ResampleBuffer) {
         let n = self.samples;
         let mut newest: (i64, i64, Option<&MapTile>) = (i64::MIN, i64::MIN, None);
         for ((x, y), cell) in tile.points().zip(buffer.tile.iter_mut()) {
@@ -174,7 +174,7 @@ impl Resampler {
 
 impl ResampleBuffer {
     /// Copies the robot's cells of these rows, and of whole tiles of columns, into the buffer.
-    fn load(&mut self, map: &TileMap, cells: Rect) {
+    fn load(&mut self, map: &TileMap, cells: IndexRect) {
         let tiles = cells.tiles();
         for (x, y) in tiles.points() {
             let column = (x - tiles.x0) as usize * SIDE;

@@ -2,7 +2,7 @@
 
 use crate::resample::Resampler;
 use crate::swept_path::SweptPath;
-use msg::{Grid, GridHeader, GridView, MapHeader, MapTile, Pose2, Rect, TileMap};
+use msg::{Grid, GridHeader, GridView, IndexRect, MapHeader, MapTile, Pose2, TileMap};
 use std::sync::Arc;
 
 /// Two grids share a lattice if no cell of one is off the other's by more than this, in cells.
@@ -22,11 +22,11 @@ pub(crate) struct RobotMap {
     /// Resamples `drawn` on the lattice; `None` while the transform or the map is unknown.
     pub resampler: Option<Resampler>,
     /// Tiles of the lattice that `drawn` reaches.
-    pub tiles: Rect,
+    pub tiles: IndexRect,
     /// The area that the robot swept most recently.
     pub path: SweptPath,
     /// Tiles of the lattice that `path` touches; none while the transform is unknown.
-    pub path_tiles: Rect,
+    pub path_tiles: IndexRect,
 }
 
 impl RobotMap {
@@ -38,9 +38,9 @@ impl RobotMap {
     }
 
     /// Tiles of the lattice that the robot's path touches where its map lies now.
-    pub fn current_path_tiles(&self, lattice_resolution_m: f64) -> Rect {
+    pub fn current_path_tiles(&self, lattice_resolution_m: f64) -> IndexRect {
         self.map_from_robot_map
-            .map_or(Rect::default(), |transform| self.path.tiles(transform, lattice_resolution_m))
+            .map_or(IndexRect::default(), |transform| self.path.tiles(transform, lattice_resolution_m))
     }
 
     /// Sets the cells of a tile under the robot's path to floor.
@@ -66,10 +66,10 @@ impl RobotMap {
 }
 
 /// Tiles of the lattice that a map reaches.
-pub(crate) fn lattice_tiles(map: &TileMap, resampler: Option<&Resampler>) -> Rect {
-    let tiles = map.tiles().map(|tile| Rect::cells_of_tile(tile.x.into(), tile.y.into()));
-    let cells = tiles.fold(Rect::default(), Rect::union);
-    resampler.map_or(Rect::default(), |resampler| resampler.lattice_cells(cells).tiles())
+pub(crate) fn lattice_tiles(map: &TileMap, resampler: Option<&Resampler>) -> IndexRect {
+    let tiles = map.tiles().map(|tile| IndexRect::cells_of_tile(tile.x.into(), tile.y.into()));
+    let cells = tiles.fold(IndexRect::default(), IndexRect::union);
+    resampler.map_or(IndexRect::default(), |resampler| resampler.lattice_cells(cells).tiles())
 }
 
 /// Cell of the lattice that holds a grid's cell (0, 0); `None` unless all cells of the two coincide.

@@ -2,7 +2,7 @@
 
 use crate::limits::is_plausible;
 use msg::grid::{Occupancy, SWEPT_FREE, occupancy};
-use msg::{MapTile, Pose2, Rect, SweptDisk};
+use msg::{IndexRect, MapTile, Pose2, SweptDisk};
 use std::collections::VecDeque;
 
 /// Most points of a path. At [`SPACING_M`] they reach back at least 2 m: past the newest pose-graph node of the robot's
@@ -51,15 +51,15 @@ impl SweptPath {
     }
 
     /// Tiles of the merged map's lattice that the path touches.
-    pub fn tiles(&self, map_from_robot_map: Pose2, resolution_m: f64) -> Rect {
+    pub fn tiles(&self, map_from_robot_map: Pose2, resolution_m: f64) -> IndexRect {
         let cells = self.segments(map_from_robot_map, resolution_m).map(|segment| segment.cells());
-        cells.fold(Rect::default(), Rect::union).tiles()
+        cells.fold(IndexRect::default(), IndexRect::union).tiles()
     }
 
     /// Sets the cells of a tile under the path to floor, unless they are known to be free already. A robot that drives
     /// through known free space thus changes no tile.
     pub fn clear_tile(&self, map_from_robot_map: Pose2, resolution_m: f64, tile: &mut MapTile) {
-        let tile_cells = Rect::cells_of_tile(tile.x.into(), tile.y.into());
+        let tile_cells = IndexRect::cells_of_tile(tile.x.into(), tile.y.into());
         for segment in self.segments(map_from_robot_map, resolution_m) {
             let cells = segment.cells().intersect(tile_cells).points();
             for (x, y) in cells.filter(|(x, y)| segment.covers(*x, *y)) {

@@ -1,6 +1,6 @@
 //! Messages with the transforms between pairs of robots' maps (merge edges) and their evidence.
 
-use crate::{AlignmentRefusal, Header, Pose2, ROBOTS_MAX, RobotId, Sender};
+use crate::{AlignmentRefusal, CommandSource, Header, Pose2, ROBOTS_MAX, RobotId};
 use bytemuck::{Pod, Zeroable};
 
 /// Most edges in one message: all pairs of 16 robots. Those of the largest fleet would have 0.3 MB.
@@ -44,7 +44,7 @@ impl EdgeState {
     }
 
     /// Returns whether the edge joins the two maps.
-    pub fn in_force(self) -> bool {
+    pub fn is_active(self) -> bool {
         matches!(self, Self::Accepted | Self::Pinned)
     }
 }
@@ -175,7 +175,7 @@ pub struct EdgeCommand {
     /// Code of an [`EdgeAction`].
     pub action: u32,
     /// Who sent it.
-    pub sender: Sender,
+    pub sender: CommandSource,
 }
 
 impl EdgeCommand {

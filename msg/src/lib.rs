@@ -57,16 +57,18 @@ pub use exploration::{
 pub use grid::{Grid, GridHeader, GridView};
 pub use health::{ProcessHealth, Role};
 pub use id::{ROBOTS_MAX, RobotId};
-pub use motion::{Clock, GroundTruth, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, VelocityCommand};
+pub use motion::{
+    Clock, GroundTruth, LINKS_MAX, LinkTransform, Odometry, RobotFrame, Transforms, VelocityCommand,
+};
 pub use navigation::{
     GOAL_POSES_MAX, NavigationAction, NavigationCommand, NavigationFrame, NavigationPlan, NavigationPose,
     NavigationReport, NavigationStatus, PLAN_POINTS_MAX,
 };
 pub use pose::Pose2;
-pub use rect::Rect;
+pub use rect::IndexRect;
 pub use refusal::AlignmentRefusal;
 pub use scan::{BEAMS_MAX, Scan, ScanDemand, ScanPurpose};
-pub use sender::{OperatorAction, OperatorEvent, Sender, SenderKind};
+pub use sender::{CommandSource, CommandSourceKind, OperatorAction, OperatorEvent};
 pub use service::{
     CLOSURES_MAX, ClosureInfo, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse, StartPose,
     TEXT_MAX, Text,

@@ -1,6 +1,6 @@
 //! Messages about motion, such as velocity commands, odometry, ground truth, clock and transforms.
 
-use crate::{Header, Pose2, Sender};
+use crate::{CommandSource, Header, Pose2};
 use bytemuck::{Pod, Zeroable};
 
 /// Commanded velocity of `base_footprint` (geometry_msgs/Twist).
@@ -16,7 +16,7 @@ pub struct VelocityCommand {
     /// Turning rate, rad/s, counter-clockwise.
     pub angular_rad_s: f64,
     /// Who sent it.
-    pub sender: Sender,
+    pub sender: CommandSource,
 }
 
 /// Wheel odometry (nav_msgs/Odometry): smooth, but it drifts.
@@ -63,7 +63,7 @@ pub const LINKS_MAX: usize = 8;
 /// Coordinate frame of one robot (REP-105 and ROBOTIS's model of the TurtleBot3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
-pub enum Link {
+pub enum RobotFrame {
     /// Frame in which the wheel odometry starts at zero.
     Odom = 1,
     /// Projection of the robot onto the floor.
@@ -80,7 +80,7 @@ pub enum Link {
     Imu = 7,
 }
 
-impl Link {
+impl RobotFrame {
     /// All links in the order of their codes.
     pub const ALL: [Self; 7] = [
         Self::Odom,
@@ -120,9 +120,9 @@ impl Link {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct LinkTransform {
-    /// Code of the parent [`Link`].
+    /// Code of the parent [`RobotFrame`].
     pub parent: u32,
-    /// Code of the child [`Link`].
+    /// Code of the child [`RobotFrame`].
     pub child: u32,
     /// Position of the child in the parent's frame, metres.
     pub translation_m: [f64; 3],

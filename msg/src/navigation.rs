@@ -1,6 +1,6 @@
 //! Messages of navigation: goals, their state, and planned paths.
 
-use crate::{Header, RobotId, Sender, bounded_text};
+use crate::{CommandSource, Header, RobotId, bounded_text};
 use bytemuck::{Pod, Zeroable};
 
 /// Most poses of one goal.
@@ -65,7 +65,7 @@ pub struct NavigationCommand {
     /// Number of `poses` in use. Read them by [`NavigationCommand::poses`].
     pub len: u32,
     /// Who sent it.
-    pub sender: Sender,
+    pub sender: CommandSource,
     /// Storage of the poses. Read it by [`NavigationCommand::poses`].
     pub poses: [NavigationPose; GOAL_POSES_MAX],
 }

@@ -7,7 +7,7 @@ pub const TILE: i64 = 64;
 ///
 /// It is empty unless `x0 < x1 && y0 < y1`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Rect {
+pub struct IndexRect {
     /// Index of the first column.
     pub x0: i64,
     /// Index of the first row.
@@ -18,7 +18,7 @@ pub struct Rect {
     pub y1: i64,
 }
 
-impl Rect {
+impl IndexRect {
     /// Creates a rectangle of `width` x `height` squares with its first square at (0, 0).
     pub fn with_size(width: u32, height: u32) -> Self {
         Self { x0: 0, y0: 0, x1: width.into(), y1: height.into() }

@@ -7,7 +7,7 @@ use core::net::{IpAddr, Ipv6Addr, SocketAddr};
 /// Kind of a command's sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
-pub enum SenderKind {
+pub enum CommandSourceKind {
     /// Nobody said who sent it.
     Unknown = 0,
     /// The bridge itself: it stops robots whose operator is silent or gone.
@@ -25,8 +25,8 @@ pub enum SenderKind {
 /// Sender of a command.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-pub struct Sender {
-    /// Code of a [`SenderKind`].
+pub struct CommandSource {
+    /// Code of a [`CommandSourceKind`].
     kind: u32,
     /// TCP port of a client.
     port: u32,
@@ -34,17 +34,17 @@ pub struct Sender {
     address: [u8; 16],
 }
 
-impl Sender {
+impl CommandSource {
     /// The bridge itself.
-    pub const BRIDGE: Self = Self::of(SenderKind::Bridge);
+    pub const BRIDGE: Self = Self::of(CommandSourceKind::Bridge);
     /// A node of ROS 2.
-    pub const ROS2: Self = Self::of(SenderKind::Ros2);
+    pub const ROS2: Self = Self::of(CommandSourceKind::Ros2);
     /// The navigation process.
-    pub const NAVIGATION: Self = Self::of(SenderKind::Navigation);
+    pub const NAVIGATION: Self = Self::of(CommandSourceKind::Navigation);
     /// A person or a program at the laptop.
-    pub const LAPTOP: Self = Self::of(SenderKind::Laptop);
+    pub const LAPTOP: Self = Self::of(CommandSourceKind::Laptop);
 
-    const fn of(kind: SenderKind) -> Self {
+    const fn of(kind: CommandSourceKind) -> Self {
         Self { kind: kind as u32, port: 0, address: [0; 16] }
     }
 
@@ -54,32 +54,32 @@ impl Sender {
             IpAddr::V4(address) => address.to_ipv6_mapped(),
             IpAddr::V6(address) => address,
         };
-        Self { port: peer.port().into(), address: address.octets(), ..Self::of(SenderKind::Client) }
+        Self { port: peer.port().into(), address: address.octets(), ..Self::of(CommandSourceKind::Client) }
     }
 
-    /// Decodes the kind; an unknown code is [`SenderKind::Unknown`].
-    pub fn kind(&self) -> SenderKind {
-        use SenderKind::{Bridge, Client, Laptop, Navigation, Ros2, Unknown};
+    /// Decodes the kind; an unknown code is [`CommandSourceKind::Unknown`].
+    pub fn kind(&self) -> CommandSourceKind {
+        use CommandSourceKind::{Bridge, Client, Laptop, Navigation, Ros2, Unknown};
         let kinds = [Bridge, Client, Ros2, Navigation, Laptop];
         kinds.into_iter().find(|kind| *kind as u32 == self.kind).unwrap_or(Unknown)
     }
 
     /// Returns a client's address; `None` for every other sender.
     pub fn address(&self) -> Option<SocketAddr> {
-        let port = u16::try_from(self.port).ok().filter(|_| self.kind() == SenderKind::Client)?;
+        let port = u16::try_from(self.port).ok().filter(|_| self.kind() == CommandSourceKind::Client)?;
         Some(SocketAddr::new(IpAddr::V6(Ipv6Addr::from(self.address)).to_canonical(), port))
     }
 }
 
-impl fmt::Display for Sender {
+impl fmt::Display for CommandSource {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.kind(), self.address()) {
-            (SenderKind::Client, Some(address)) => write!(to, "client {address}"),
-            (SenderKind::Bridge, _) => to.write_str("bridge"),
-            (SenderKind::Ros2, _) => to.write_str("ros2"),
-            (SenderKind::Navigation, _) => to.write_str("navigation"),
-            (SenderKind::Laptop, _) => to.write_str("laptop"),
-            (SenderKind::Client | SenderKind::Unknown, _) => to.write_str("unknown"),
+            (CommandSourceKind::Client, Some(address)) => write!(to, "client {address}"),
+            (CommandSourceKind::Bridge, _) => to.write_str("bridge"),
+            (CommandSourceKind::Ros2, _) => to.write_str("ros2"),
+            (CommandSourceKind::Navigation, _) => to.write_str("navigation"),
+            (CommandSourceKind::Laptop, _) => to.write_str("laptop"),
+            (CommandSourceKind::Client | CommandSourceKind::Unknown, _) => to.write_str("unknown"),
         }
     }
 }
@@ -117,7 +117,7 @@ pub struct OperatorEvent {
     /// Header whose `stamp` is not used.
     pub header: crate::Header,
     /// Who did it.
-    pub sender: Sender,
+    pub sender: CommandSource,
     /// Code of an [`OperatorAction`].
     pub action: u32,
     /// Number of the robot, from 1; 0: all, or none in particular.
@@ -126,7 +126,7 @@ pub struct OperatorEvent {
 
 impl OperatorEvent {
     /// Creates an event; `robot` is `None` for all robots, or none in particular.
-    pub fn new(sender: Sender, action: OperatorAction, robot: Option<crate::RobotId>) -> Self {
+    pub fn new(sender: CommandSource, action: OperatorAction, robot: Option<crate::RobotId>) -> Self {
         let robot = robot.map_or(0, |robot| robot.number() as u32);
         Self { sender, action: action as u32, robot, ..Self::default() }
     }
@@ -145,15 +145,15 @@ mod tests {
     #[test]
     fn senders_are_told_apart_and_damaged_ones_are_unknown() {
         let peer: SocketAddr = "192.0.2.7:5000".parse().unwrap();
-        let client = Sender::client(peer);
+        let client = CommandSource::client(peer);
         assert_eq!((client.address(), client.to_string().as_str()), (Some(peer), "client 192.0.2.7:5000"));
         let peer: SocketAddr = "[2001:db8::1]:70".parse().unwrap();
-        assert_eq!(Sender::client(peer).to_string(), "client [2001:db8::1]:70");
-        assert_eq!(Sender::default().to_string(), "unknown");
-        assert_eq!(Sender::NAVIGATION.to_string(), "navigation");
-        assert_eq!(Sender::LAPTOP.address(), None);
-        let damaged = Sender { kind: 2, port: u32::MAX, address: [0xff; 16] };
+        assert_eq!(CommandSource::client(peer).to_string(), "client [2001:db8::1]:70");
+        assert_eq!(CommandSource::default().to_string(), "unknown");
+        assert_eq!(CommandSource::NAVIGATION.to_string(), "navigation");
+        assert_eq!(CommandSource::LAPTOP.address(), None);
+        let damaged = CommandSource { kind: 2, port: u32::MAX, address: [0xff; 16] };
         assert_eq!((damaged.address(), damaged.to_string().as_str()), (None, "unknown"));
-        assert_eq!(Sender { kind: 77, ..damaged }.kind(), SenderKind::Unknown);
+        assert_eq!(CommandSource { kind: 77, ..damaged }.kind(), CommandSourceKind::Unknown);
     }
 }

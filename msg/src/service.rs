@@ -4,7 +4,7 @@
 //! its own into `client` and counts its requests in `id`; the response repeats both. A request without a
 //! response within a few seconds was lost with a process that died. The client then sends it again.
 
-use crate::{Header, Pose2, Sender, bounded_text};
+use crate::{CommandSource, Header, Pose2, bounded_text};
 use bytemuck::{Pod, Zeroable};
 
 /// Length of the longest text, bytes of UTF-8.
@@ -175,7 +175,7 @@ pub struct SlamRequest {
     /// Number of the request among the client's requests.
     pub id: u64,
     /// Who sent it.
-    pub sender: Sender,
+    pub sender: CommandSource,
     /// Code of a [`SlamRequestKind`].
     pub kind: u32,
     /// Code of a [`SlamMode`].
@@ -222,7 +222,7 @@ pub struct ClosureInfo {
     /// Number of the later node.
     pub newer: u32,
     /// 1 if the closure is part of the graph, 0 if it was removed.
-    pub in_force: u32,
+    pub is_active: u32,
     /// Measured pose of the later node in the frame of the earlier one.
     pub older_from_newer: Pose2,
     /// Pose of the earlier node in `robotK/map`.

@@ -17,13 +17,13 @@ pub enum TrackingState {
     /// The scan contradicts the map, or the pose by odometry is missing or too uncertain: the map does not change.
     Lost = 3,
     /// The scan matches the map, but there is evidence that the map is wrong: this pose may be metres off.
-    Unreliable = 4,
+    MapUnreliable = 4,
 }
 
 impl TrackingState {
     /// Decodes a state; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
-        [Self::Starting, Self::Tracking, Self::Degenerate, Self::Lost, Self::Unreliable]
+        [Self::Starting, Self::Tracking, Self::Degenerate, Self::Lost, Self::MapUnreliable]
             .into_iter()
             .find(|s| *s as u32 == code)
     }
@@ -35,7 +35,7 @@ impl TrackingState {
             Self::Tracking => "tracking",
             Self::Degenerate => "degenerate",
             Self::Lost => "lost",
-            Self::Unreliable => "unreliable",
+            Self::MapUnreliable => "unreliable",
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Cells of a lattice that a round body covers while it moves.
 
-use crate::Rect;
+use crate::IndexRect;
 
 /// Area that a disk covers while it moves along a straight line, in units of cells.
 ///
@@ -22,13 +22,13 @@ impl SweptDisk {
     }
 
     /// Returns a rectangle that contains all covered cells.
-    pub fn cells(&self) -> Rect {
+    pub fn cells(&self) -> IndexRect {
         let reach = |k: usize| {
             let (a, b) = (self.from[k], self.from[k] + self.along[k]);
             ((a.min(b) - self.radius).floor() as i64, (a.max(b) + self.radius).ceil() as i64)
         };
         let ((x0, x1), (y0, y1)) = (reach(0), reach(1));
-        Rect { x0, y0, x1, y1 }
+        IndexRect { x0, y0, x1, y1 }
     }
 
     /// Returns whether the disk passes over the centre of a cell.
@@ -58,14 +58,14 @@ mod tests {
         #[test]
         fn covers_the_cells_that_the_disk_passes_and_no_others(a in place(), b in place(), radius in 0.1..6.0) {
             let swept = SweptDisk::new(a, b, radius).unwrap();
-            let all = Rect { x0: -20, y0: -20, x1: 20, y1: 20 };
+            let all = IndexRect { x0: -20, y0: -20, x1: 20, y1: 20 };
             let steps = || (0..=400).map(|k| f64::from(k) / 400.0);
             for (x, y) in all.points() {
                 let off = |t: f64| {
                     let at = [0, 1].map(|k| a[k] + t * (b[k] - a[k]));
                     (x as f64 + 0.5 - at[0]).hypot(y as f64 + 0.5 - at[1])
                 };
-                let inside = swept.cells().intersect(Rect::single(x, y)) == Rect::single(x, y);
+                let inside = swept.cells().intersect(IndexRect::single(x, y)) == IndexRect::single(x, y);
                 // Far cells need no search along the line.
                 let middle = off(0.5) - (a[0] - b[0]).hypot(a[1] - b[1]) / 2.0;
                 if middle > radius + 0.1 {

@@ -11,7 +11,7 @@ pub use dense_map::DenseMap;
 pub use patch::{PATCH_TILES_MAX, Patch, PatchHeader, PatchReceiver, PatchSender};
 
 use crate::grid::{CELLS_MAX, MAP_CELLS_MAX, UNKNOWN};
-use crate::rect::Rect;
+use crate::rect::IndexRect;
 use crate::{GridHeader, GridView, Header, Monotonic, Pose2};
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
@@ -49,7 +49,7 @@ impl MapTile {
     }
 
     /// Returns the smallest rectangle around the known cells, in cells of the lattice.
-    pub fn known(&self) -> Rect {
+    pub fn known(&self) -> IndexRect {
         let mut columns = [false; TILE as usize];
         let (mut first, mut end) = (TILE, 0);
         for (y, row) in self.cells.as_chunks::<{ TILE as usize }>().0.iter().enumerate() {
@@ -62,9 +62,9 @@ impl MapTile {
                 (first, end) = (first.min(y as i64), y as i64 + 1);
             }
         }
-        let Some(left) = columns.iter().position(|known| *known) else { return Rect::default() };
+        let Some(left) = columns.iter().position(|known| *known) else { return IndexRect::default() };
         let right = columns.iter().rposition(|known| *known).unwrap_or(left) + 1;
-        let inside = Rect { x0: left as i64, y0: first, x1: right as i64, y1: end };
+        let inside = IndexRect { x0: left as i64, y0: first, x1: right as i64, y1: end };
         inside.translated(i64::from(self.x) * TILE, i64::from(self.y) * TILE)
     }
 }
@@ -95,7 +95,7 @@ impl MapHeader {
     }
 
     /// Returns the header of a grid that shows these cells.
-    pub fn grid_header(&self, cells: Rect) -> GridHeader {
+    pub fn grid_header(&self, cells: IndexRect) -> GridHeader {
         let corner = [cells.x0, cells.y0].map(|cell| cell as f64 * self.resolution_m);
         GridHeader {
             header: self.header,
@@ -131,14 +131,14 @@ pub struct TileMap {
     /// Stamp, resolution and origin of the map.
     pub header: MapHeader,
     /// Rectangle of tiles that `tiles` has slots for.
-    extent: Rect,
+    extent: IndexRect,
     tiles: Vec<Option<Arc<MapTile>>>,
 }
 
 impl TileMap {
     /// Creates a map without known cells.
     pub fn new(header: MapHeader) -> Self {
-        Self { header, extent: Rect::default(), tiles: Vec::new() }
+        Self { header, extent: IndexRect::default(), tiles: Vec::new() }
     }
 
     /// Copies a grid into tiles. The grid's cell (0, 0) becomes the lattice's cell `corner` (column, row).
@@ -147,14 +147,14 @@ impl TileMap {
         let mut map = Self::new(header);
         let [dx, dy] = corner;
         let near = corner.iter().all(|c| c.abs() < TILE * TILE_PLACE_MAX);
-        let whole = Rect::with_size(grid.header.width, grid.header.height);
+        let whole = IndexRect::with_size(grid.header.width, grid.header.height);
         let whole = if near { whole.translated(dx, dy) } else { return None };
         if !map.grow_to(whole.tiles(), MAP_TILES_MAX) {
             return None;
         }
         for (x, y) in whole.tiles().points() {
             let mut tile = MapTile::unknown(x, y);
-            let part = Rect::cells_of_tile(x, y).intersect(whole);
+            let part = IndexRect::cells_of_tile(x, y).intersect(whole);
             for row in part.y0..part.y1 {
                 let start = whole.index(part.x0, row);
                 let to = ((row - y * TILE) * TILE + part.x0 - x * TILE) as usize;
@@ -168,13 +168,13 @@ impl TileMap {
     }
 
     /// Returns the rectangle of tiles that contains all known cells.
-    pub fn extent(&self) -> Rect {
+    pub fn extent(&self) -> IndexRect {
         self.extent
     }
 
     /// Extends the map to these tiles. `false`, without a change, if it would then span more than
     /// `tiles_max` tiles or exceed the largest distance from the origin.
-    pub fn grow_to(&mut self, tiles: Rect, tiles_max: usize) -> bool {
+    pub fn grow_to(&mut self, tiles: IndexRect, tiles_max: usize) -> bool {
         if self.extent.contains(tiles) {
             return true;
         }
@@ -202,7 +202,7 @@ impl TileMap {
     }
 
     /// Opens the tiles in `part` that `wanted` selects, for writing cell by cell.
-    pub fn open(&mut self, part: Rect, wanted: impl Fn(i64, i64) -> bool) -> OpenTiles<'_> {
+    pub fn open(&mut self, part: IndexRect, wanted: impl Fn(i64, i64) -> bool) -> OpenTiles<'_> {
         let part = part.intersect(self.extent);
         let mut slots = Vec::with_capacity(part.area().unwrap_or(0));
         let width = self.extent.width().max(1);
@@ -262,7 +262,7 @@ fn tile_mut(slot: &mut Option<Arc<MapTile>>, x: i64, y: i64) -> &mut MapTile {
 ///
 /// A shared tile is copied once at its first access, not at each access.
 pub struct OpenTiles<'a> {
-    part: Rect,
+    part: IndexRect,
     slots: Vec<OpenTile<'a>>,
 }
 
@@ -300,13 +300,13 @@ mod tests {
     #[test]
     fn a_map_grows_in_any_direction_and_keeps_its_tiles() {
         let mut map = TileMap::new(MapHeader { resolution_m: 0.05, ..Default::default() });
-        assert!(map.grow_to(Rect::single(0, 0), ROBOT_TILES_MAX));
+        assert!(map.grow_to(IndexRect::single(0, 0), ROBOT_TILES_MAX));
         map.get_mut(0, 0).unwrap().cells[0] = 5;
         let kept = map.clone();
         for (x, y) in [(-3, 0), (0, -2), (4, 4)] {
-            assert!(map.grow_to(Rect::single(x, y), ROBOT_TILES_MAX));
+            assert!(map.grow_to(IndexRect::single(x, y), ROBOT_TILES_MAX));
         }
-        assert_eq!(map.extent(), Rect { x0: -3, y0: -2, x1: 5, y1: 5 });
+        assert_eq!(map.extent(), IndexRect { x0: -3, y0: -2, x1: 5, y1: 5 });
         assert_eq!((map.cell(0, 0), map.cell(-1, 0), map.cell(1_000_000, 0)), (5, UNKNOWN, UNKNOWN));
         assert_eq!(map.changed_since(&kept).count(), 0);
         assert!(Arc::ptr_eq(map.get(0, 0).unwrap(), kept.get(0, 0).unwrap()));
@@ -318,11 +318,11 @@ mod tests {
     #[test]
     fn a_map_does_not_grow_beyond_its_bounds() {
         let mut map = TileMap::default();
-        assert!(map.grow_to(Rect::single(0, 0), ROBOT_TILES_MAX));
-        assert!(map.grow_to(Rect::single(63, 63), ROBOT_TILES_MAX));
-        assert!(!map.grow_to(Rect::single(64, 0), ROBOT_TILES_MAX));
-        assert!(!map.grow_to(Rect::single(i64::from(i32::MAX), 0), usize::MAX));
-        assert_eq!(map.extent(), Rect { x0: 0, y0: 0, x1: 64, y1: 64 });
+        assert!(map.grow_to(IndexRect::single(0, 0), ROBOT_TILES_MAX));
+        assert!(map.grow_to(IndexRect::single(63, 63), ROBOT_TILES_MAX));
+        assert!(!map.grow_to(IndexRect::single(64, 0), ROBOT_TILES_MAX));
+        assert!(!map.grow_to(IndexRect::single(i64::from(i32::MAX), 0), usize::MAX));
+        assert_eq!(map.extent(), IndexRect { x0: 0, y0: 0, x1: 64, y1: 64 });
         assert!(map.get_mut(64, 0).is_none());
     }
 
@@ -332,6 +332,6 @@ mod tests {
         assert!(tile.known().is_empty() && tile.is_unknown());
         tile.cells[3 * TILE as usize + 7] = 0;
         tile.cells[9 * TILE as usize + 2] = -5;
-        assert_eq!(tile.known(), Rect { x0: -62, y0: 131, x1: -56, y1: 138 });
+        assert_eq!(tile.known(), IndexRect { x0: -62, y0: 131, x1: -56, y1: 138 });
     }
 }

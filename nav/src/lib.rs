@@ -83,8 +83,8 @@ pub use follower::PathFollower;
 pub use frontier::{Frontier, FrontierSearch};
 pub use memory::RobotMemory;
 pub use navigation::{
-    FleetNavigator, GoalFrame, GoalPose, NavigatedRobot, NavigationFailure, NavigationGoal, NavigationInput,
-    NavigationState, NavigatorConfig, PlaceCertainty,
+    FleetNavigator, GoalFrame, GoalPose, LocalizationUncertainty, NavigatedRobot, NavigationFailure,
+    NavigationGoal, NavigationInput, NavigationState, NavigatorConfig,
 };
 pub use observation::{FleetObservation, MapView, RobotObservation, ScanView};
 pub use path::{Path, Waypoint};

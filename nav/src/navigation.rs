@@ -19,7 +19,7 @@ mod tests;
 pub use config::{NavigatorConfig, UnknownSpace};
 pub use goal::{GOAL_POSES_MAX, GoalError, GoalFrame, GoalPose, NavigationGoal};
 pub(crate) use goal_map::START_SNAP_MAX_M;
-pub use input::{NavigatedRobot, NavigationInput, PlaceCertainty};
+pub use input::{LocalizationUncertainty, NavigatedRobot, NavigationInput};
 pub use state::{NavigationFailure, NavigationState};
 
 use crate::command::Twist;

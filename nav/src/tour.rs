@@ -18,7 +18,7 @@ const STEP_MAX_S: f64 = 1.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TourConfig {
     /// Length of a robot's turn, seconds, above 0. 20 s is time for two or three goals.
-    pub turn_s: f64,
+    pub time_slice_s: f64,
     /// Parameters of each robot's navigation.
     pub nav: NavConfig,
     /// Random seed of the tour.
@@ -27,7 +27,7 @@ pub struct TourConfig {
 
 impl Default for TourConfig {
     fn default() -> Self {
-        Self { turn_s: 20.0, nav: NavConfig::default(), seed: 1 }
+        Self { time_slice_s: 20.0, nav: NavConfig::default(), seed: 1 }
     }
 }
 
@@ -39,7 +39,7 @@ pub struct RobotTourStats {
     /// Number of turns that the robot had; 0 if all robots were driven at once.
     pub turns: u32,
     /// Length of all its turns, seconds.
-    pub turns_s: f64,
+    pub driven_s: f64,
     /// What its explorer has done.
     pub exploration: ExplorationStats,
 }
@@ -67,7 +67,7 @@ pub struct ExplorationTour {
     active: usize,
     turn_started: Option<Stamp>,
     turns: [u32; ROBOTS_MAX],
-    turns_s: [f64; ROBOTS_MAX],
+    driven_s: [f64; ROBOTS_MAX],
     last_step: Option<Stamp>,
 }
 
@@ -81,7 +81,7 @@ impl ExplorationTour {
             active: 0,
             turn_started: None,
             turns: [0; ROBOTS_MAX],
-            turns_s: [0.0; ROBOTS_MAX],
+            driven_s: [0.0; ROBOTS_MAX],
             last_step: None,
         };
         robots.into_iter().for_each(|robot| tour.add(robot));
@@ -96,8 +96,8 @@ impl ExplorationTour {
     }
 
     /// Sets the length of a turn, seconds.
-    pub fn set_turn_s(&mut self, turn_s: f64) {
-        self.config.turn_s = turn_s;
+    pub fn set_time_slice_s(&mut self, time_slice_s: f64) {
+        self.config.time_slice_s = time_slice_s;
     }
 
     /// Drives the robot whose turn it is: one control step.
@@ -109,13 +109,13 @@ impl ExplorationTour {
         self.last_step = Some(now);
         let explorer = &mut self.explorers[self.active];
         let robot = explorer.robot();
-        self.turns_s[robot.index()] += elapsed_s.clamp(0.0, STEP_MAX_S);
+        self.driven_s[robot.index()] += elapsed_s.clamp(0.0, STEP_MAX_S);
         let started = *self.turn_started.get_or_insert_with(|| {
             self.turns[robot.index()] += 1;
             now
         });
         let is_idle = explorer.idle_since().is_some_and(|since| now - since > IDLE_MAX_S);
-        if self.explorers.len() > 1 && (is_idle || now - started >= self.config.turn_s) {
+        if self.explorers.len() > 1 && (is_idle || now - started >= self.config.time_slice_s) {
             self.explorers[self.active].pause();
             self.active = (self.active + 1) % self.explorers.len();
             self.turn_started = None;
@@ -149,8 +149,8 @@ impl ExplorationTour {
     pub fn stats(&self) -> impl Iterator<Item = RobotTourStats> + '_ {
         self.explorers.iter().map(|explorer| {
             let robot = explorer.robot();
-            let (turns, turns_s) = (self.turns[robot.index()], self.turns_s[robot.index()]);
-            RobotTourStats { robot, turns, turns_s, exploration: explorer.stats() }
+            let (turns, driven_s) = (self.turns[robot.index()], self.driven_s[robot.index()]);
+            RobotTourStats { robot, turns, driven_s, exploration: explorer.stats() }
         })
     }
 

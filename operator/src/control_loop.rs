@@ -156,12 +156,12 @@ impl<'a> ControlLoop<'a> {
             }
         }
         if let Some(tour) = &mut self.tour {
-            tour.set_turn_s(turn_s(self.args, self.robots.len()));
+            tour.set_time_slice_s(time_slice_s(self.args, self.robots.len()));
         }
     }
 
     fn tour_config(&self) -> TourConfig {
-        TourConfig { turn_s: turn_s(self.args, 1), seed: self.args.seed, ..TourConfig::default() }
+        TourConfig { time_slice_s: time_slice_s(self.args, 1), seed: self.args.seed, ..TourConfig::default() }
     }
 
     /// Publishes a velocity on the robot's own topic, or on `/cmd_vel` once the robot is selected.
@@ -209,7 +209,7 @@ impl<'a> ControlLoop<'a> {
         let robots = tour.stats().map(|stats| RobotReport {
             robot: stats.robot.number(),
             turns: stats.turns,
-            held_s: stats.turns_s,
+            held_s: stats.driven_s,
             did: ExplorationReport::from(stats.exploration),
         });
         Ok(OperatorReport {
@@ -229,7 +229,7 @@ fn velocity_topic(robot: RobotId) -> String {
 }
 
 /// Returns the length of a turn: from the arguments, or such that every robot gets three turns, within bounds.
-fn turn_s(args: &OperatorArgs, robots: usize) -> f64 {
+fn time_slice_s(args: &OperatorArgs, robots: usize) -> f64 {
     let fitting_s = args.seconds.map_or(TURN_MAX_S, |seconds| seconds / (TURNS * robots as f64));
     args.turn_seconds.unwrap_or(fitting_s.clamp(TURN_MIN_S, TURN_MAX_S))
 }

@@ -7,7 +7,7 @@ use crate::robot_topics::RobotTopics;
 use bridge::cdr::DecodeError;
 use bridge::ros::{self, Bool, FrameNames, Int32, LaserScan, NameStyle, OccupancyGrid, TfMessage};
 use msg::pose::yaw_of_quaternion;
-use msg::{Link, Pose2, ROBOTS_MAX, RobotId, Stamp};
+use msg::{Pose2, ROBOTS_MAX, RobotFrame, RobotId, Stamp};
 use nav::observation::BURGER_BASE_FROM_SCAN;
 use nav::{MapView, RobotObservation, ScanView};
 use std::collections::BTreeMap;
@@ -234,7 +234,7 @@ impl WorldState {
     /// Pose of a robot's base in the map of a robot, or in the merged map if `map_of` is `None`.
     fn pose_in_map(&self, now: Stamp, robot: RobotId, map_of: Option<RobotId>) -> Option<Pose2> {
         self.frame_names.iter().find_map(|names| {
-            let base = names.link(robot, Link::BaseFootprint);
+            let base = names.robot_frame(robot, RobotFrame::BaseFootprint);
             if now - self.transforms.get(base)?.received > POSE_AGE_MAX_S {
                 return None;
             }
@@ -245,8 +245,8 @@ impl WorldState {
 
     fn base_from_scan(&self, robot: RobotId) -> Option<Pose2> {
         self.frame_names.iter().find_map(|names| {
-            let base = names.link(robot, Link::BaseFootprint);
-            self.ancestor_from_frame(base, names.link(robot, Link::BaseScan))
+            let base = names.robot_frame(robot, RobotFrame::BaseFootprint);
+            self.ancestor_from_frame(base, names.robot_frame(robot, RobotFrame::BaseScan))
         })
     }
 

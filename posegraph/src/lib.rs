@@ -14,7 +14,7 @@
 //!
 //! ```
 //! use msg::Pose2;
-//! use posegraph::{Edge, Kernel, Outcome, SolverOptions, information_from_sigmas, solve};
+//! use posegraph::{Edge, Kernel, Termination, SolverOptions, information_from_sigmas, solve};
 //!
 //! // A robot drives around a square of 4 m; its wheels turn 3 % too far at each corner.
 //! let quarter = core::f64::consts::FRAC_PI_2;
@@ -33,7 +33,7 @@
 //! // It recognises the place where it began: the loop is closed.
 //! edges.push(Edge { information: information_from_sigmas(0.01, 0.01), ..edge(0, 4, Pose2::IDENTITY) });
 //! let summary = solve(&mut poses, &edges, &SolverOptions::default())?;
-//! assert_eq!(summary.outcome, Outcome::Converged);
+//! assert_eq!(summary.termination, Termination::Converged);
 //! assert!(summary.final_cost < summary.initial_cost);
 //! assert!(poses[4].distance_m(poses[0]) < 0.02);
 //! # Ok::<(), posegraph::SolveError>(())
@@ -49,4 +49,4 @@ mod solver;
 pub use edge::Edge;
 pub use information::{information_from_sigmas, limit_information, transport_information};
 pub use kernel::Kernel;
-pub use solver::{Outcome, SolveError, SolverOptions, Summary, cost, solve};
+pub use solver::{SolveError, SolverOptions, Summary, Termination, cost, solve};

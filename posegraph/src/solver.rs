@@ -41,9 +41,9 @@ impl Default for SolverOptions {
     }
 }
 
-/// Outcome of a solution without an error.
+/// Termination of a solution without an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
+pub enum Termination {
     /// The last step was smaller than [`SolverOptions::step_min`].
     Converged,
     /// [`SolverOptions::iterations_max`] was reached; the poses are the best ones so far.
@@ -56,7 +56,7 @@ pub enum Outcome {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
     /// Reason why the iterations ended.
-    pub outcome: Outcome,
+    pub termination: Termination,
     /// Number of linearisations.
     pub iterations: usize,
     /// Number of iterations whose Gauss-Newton step had to be damped.
@@ -129,7 +129,7 @@ pub fn solve(poses: &mut [Pose2], edges: &[Edge], options: &SolverOptions) -> Re
 fn minimise(poses: &mut [Pose2], edges: &[Edge], options: &SolverOptions) -> Result<Summary, SolveError> {
     let initial_cost = checked_cost(poses, edges)?;
     let mut summary = Summary {
-        outcome: Outcome::Converged,
+        termination: Termination::Converged,
         iterations: 0,
         damped: 0,
         initial_cost,
@@ -140,23 +140,23 @@ fn minimise(poses: &mut [Pose2], edges: &[Edge], options: &SolverOptions) -> Res
     }
     let too_large = SolveError::TooLarge { poses: poses.len(), edges: edges.len() };
     let structure = Structure::new(poses.len(), edges).ok_or(too_large)?;
-    summary.outcome = Outcome::IterationLimit;
+    summary.termination = Termination::IterationLimit;
     let mut scale = if options.graduated { GRADUATION_START } else { 1.0 };
     for iteration in 0..options.iterations_max {
         let step = descend(&structure, poses, edges, scale, options.prior);
         summary.iterations += 1;
         let done = match step {
-            Step::Plain { largest } => (largest < options.step_min).then_some(Outcome::Converged),
+            Step::Plain { largest } => (largest < options.step_min).then_some(Termination::Converged),
             Step::Damped => {
                 summary.damped += 1;
                 None
             }
-            Step::None { largest } if largest < options.step_min => Some(Outcome::Converged),
-            Step::None { .. } => Some(Outcome::Stalled),
+            Step::None { largest } if largest < options.step_min => Some(Termination::Converged),
+            Step::None { .. } => Some(Termination::Stalled),
             Step::Singular => return Err(SolveError::Singular { iteration }),
         };
         if let Some(outcome) = done.filter(|_| scale <= 1.0) {
-            summary.outcome = outcome;
+            summary.termination = outcome;
             break;
         }
         scale = (scale / GRADUATION_FACTOR).max(1.0);

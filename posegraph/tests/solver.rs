@@ -3,7 +3,7 @@
 use msg::Pose2;
 use msg::pose::wrap_angle;
 use nalgebra::Matrix3;
-use posegraph::{Edge, Kernel, Outcome, SolveError, SolverOptions, cost, information_from_sigmas, solve};
+use posegraph::{Edge, Kernel, SolveError, SolverOptions, Termination, cost, information_from_sigmas, solve};
 use proptest::prelude::*;
 
 fn edge(a: usize, b: usize, a_from_b: Pose2, kernel: Kernel) -> Edge {
@@ -50,7 +50,7 @@ proptest! {
         let mut poses = guesses;
         let options = SolverOptions { iterations_max: 200, step_min: 1e-9, ..SolverOptions::default() };
         let summary = solve(&mut poses, &edges, &options).unwrap();
-        prop_assume!(summary.outcome == Outcome::Converged);
+        prop_assume!(summary.termination == Termination::Converged);
         for (k, x, y, yaw) in moves {
             let mut moved = poses.clone();
             moved[k] = Pose2::new(poses[k].x_m + x, poses[k].y_m + y, poses[k].yaw_rad + yaw);
@@ -117,7 +117,7 @@ fn a_wrong_closure_is_outvoted() {
     let apart = poses[0].distance_m(poses[4]);
     let summary =
         solve(&mut poses, &edges, &SolverOptions { graduated: true, ..Default::default() }).unwrap();
-    assert_eq!(summary.outcome, Outcome::Converged);
+    assert_eq!(summary.termination, Termination::Converged);
     assert!(poses[0].distance_m(poses[4]) < 0.1 * apart, "{:?} of {apart}", poses[4]);
     assert!(wrong.chi_squared(poses[0], poses[2]) > 100.0);
     assert!(poses[2].distance_m(Pose2::new(4.0, 4.0, 0.0)) < 0.4, "{:?}", poses[2]);
@@ -172,6 +172,9 @@ fn poses_that_no_edge_holds_stay_where_they_are() {
     // Neither are empty graphs an error.
     for count in [0, 1] {
         let mut few = vec![Pose2::new(1.0, 1.0, 1.0); count];
-        assert_eq!(solve(&mut few, &[], &SolverOptions::default()).unwrap().outcome, Outcome::Converged);
+        assert_eq!(
+            solve(&mut few, &[], &SolverOptions::default()).unwrap().termination,
+            Termination::Converged
+        );
     }
 }

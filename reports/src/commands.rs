@@ -98,11 +98,11 @@ pub fn operator_event_json(event: &OperatorEvent) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use msg::{NavigationAction, Pose2, Sender, Text};
+    use msg::{CommandSource, NavigationAction, Pose2, Text};
 
     #[test]
     fn commands_name_their_sender_and_the_values_that_they_use() {
-        let sender = Sender::LAPTOP;
+        let sender = CommandSource::LAPTOP;
         let save = SlamRequest {
             sender,
             kind: SlamRequestKind::SaveMap as u32,
@@ -119,11 +119,12 @@ mod tests {
         };
         assert_eq!(slam_request_json(&pose)["pose"], json!([1.0, 2.0, 0.5]));
         assert_eq!(slam_request_json(&SlamRequest { kind: 99, ..save })["request"], json!(99));
-        let pin = EdgeCommand { sender: Sender::ROS2, ..EdgeCommand::parse("undo 7 3").unwrap() };
+        let pin = EdgeCommand { sender: CommandSource::ROS2, ..EdgeCommand::parse("undo 7 3").unwrap() };
         assert_eq!(edge_command_json(&pin), json!({ "sender": "ros2", "action": "undo", "robots": [3, 7] }));
         let unknown = edge_command_json(&EdgeCommand { edge: u32::MAX, ..pin });
         assert_eq!(unknown["robots"], json!(null));
-        let stop = OperatorEvent::new(Sender::client(([127, 0, 0, 1], 5).into()), OperatorAction::Stop, None);
+        let stop =
+            OperatorEvent::new(CommandSource::client(([127, 0, 0, 1], 5).into()), OperatorAction::Stop, None);
         assert_eq!(
             operator_event_json(&stop),
             json!({ "sender": "client 127.0.0.1:5", "action": "emergency_stop", "robot": null })

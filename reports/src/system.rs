@@ -3,7 +3,7 @@
 use crate::graph_picture::{GraphEdge, GraphNode, graph_picture, tree_picture};
 use bridge::RobotNames;
 use bridge::ros::{FrameNames, NameStyle};
-use msg::Link;
+use msg::RobotFrame;
 
 /// Robots whose frames are drawn; those of the others are like them.
 const ROBOTS_SHOWN: usize = 4;
@@ -24,16 +24,16 @@ pub fn frame_tree(names: &RobotNames) -> String {
         nodes.len() - 1
     };
     for robot in names.robots().take(ROBOTS_SHOWN) {
-        let link = |link| frames.link(robot, link);
+        let link = |link| frames.robot_frame(robot, link);
         let of_robot = match frames.map(robot) {
             // The only robot under plain names has the fleet's map.
             "map" => 0,
             own => add(own, 0, "merging, as soon as the map is joined"),
         };
-        let odom = add(link(Link::Odom), of_robot, "SLAM, with each scan");
-        let footprint = add(link(Link::BaseFootprint), odom, "odometry");
-        let base = add(link(Link::BaseLink), footprint, "the robot's description");
-        for part in [Link::BaseScan, Link::WheelLeft, Link::WheelRight, Link::Imu] {
+        let odom = add(link(RobotFrame::Odom), of_robot, "SLAM, with each scan");
+        let footprint = add(link(RobotFrame::BaseFootprint), odom, "odometry");
+        let base = add(link(RobotFrame::BaseLink), footprint, "the robot's description");
+        for part in [RobotFrame::BaseScan, RobotFrame::WheelLeft, RobotFrame::WheelRight, RobotFrame::Imu] {
             add(link(part), base, "the robot's description");
         }
     }

@@ -240,7 +240,7 @@ impl RobotView {
 
     /// Returns whether there is evidence that the robot's map is wrong.
     pub fn is_unreliable(&self) -> bool {
-        self.state == TrackingState::Unreliable.name()
+        self.state == TrackingState::MapUnreliable.name()
     }
 
     /// Returns whether scans came once and do not come any more.

@@ -6,7 +6,7 @@ use crate::cdr::{DecodeError, Reader, Writer};
 use crate::message::{Message, read_header};
 use crate::sensor::read_pose;
 use crate::{read, write};
-use msg::{GridView, Rect, Stamp};
+use msg::{GridView, IndexRect, Stamp};
 
 /// Areas of a map that changed, and which update this is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,7 +16,7 @@ pub struct TileUpdate<'a> {
     /// Number of the update before; 0 if only the whole map tells what changed.
     pub base: u32,
     /// Changed rectangles of the map.
-    pub areas: &'a [Rect],
+    pub areas: &'a [IndexRect],
 }
 
 /// One rectangle of cells.

@@ -1,6 +1,6 @@
 //! Names of the robots in ROS: of their topics, and of their frames on /tf and in headers.
 
-use msg::{Link, ROBOTS_MAX, RobotId};
+use msg::{ROBOTS_MAX, RobotFrame, RobotId};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -172,11 +172,11 @@ impl RobotNames {
     pub fn is_correction(&self, parent: &str, child: &str) -> bool {
         let is_plain = |name: &str, plain: &str| name.strip_prefix('/').unwrap_or(name) == plain;
         match self.parse_frame(child) {
-            Some((_, frame)) => matches!(frame, FleetFrame::Map | FleetFrame::Link(Link::Odom)),
+            Some((_, frame)) => matches!(frame, FleetFrame::Map | FleetFrame::Robot(RobotFrame::Odom)),
             None => {
                 let under_a_map =
                     is_plain(parent, MAP) || matches!(self.parse_frame(parent), Some((_, FleetFrame::Map)));
-                is_plain(child, Link::Odom.name()) && under_a_map
+                is_plain(child, RobotFrame::Odom.name()) && under_a_map
             }
         }
     }
@@ -214,7 +214,7 @@ pub struct FrameNames {
 #[derive(Clone, Debug)]
 struct RobotFrames {
     map: String,
-    links: [String; Link::ALL.len()],
+    links: [String; RobotFrame::ALL.len()],
 }
 
 impl FrameNames {
@@ -222,7 +222,7 @@ impl FrameNames {
     pub fn new(style: NameStyle, names: &RobotNames) -> Self {
         let robot = |robot| RobotFrames {
             map: names.frame(style, robot, MAP),
-            links: Link::ALL.map(|link| names.frame(style, robot, link.name())),
+            links: RobotFrame::ALL.map(|link| names.frame(style, robot, link.name())),
         };
         Self { robots: names.robots().map(robot).collect() }
     }
@@ -233,7 +233,7 @@ impl FrameNames {
     }
 
     /// Returns a frame of the robot's body: `base_scan_1`. Panics for a robot beyond the fleet.
-    pub fn link(&self, robot: RobotId, link: Link) -> &str {
+    pub fn robot_frame(&self, robot: RobotId, link: RobotFrame) -> &str {
         &self.robots[robot.index()].links[link as usize - 1]
     }
 }
@@ -244,18 +244,18 @@ pub enum FleetFrame {
     /// The robot's own map.
     Map,
     /// A part of the robot's body, or the origin of its odometry.
-    Link(Link),
+    Robot(RobotFrame),
 }
 
 impl FleetFrame {
     fn all() -> impl Iterator<Item = Self> {
-        Link::ALL.into_iter().map(Self::Link).chain([Self::Map])
+        RobotFrame::ALL.into_iter().map(Self::Robot).chain([Self::Map])
     }
 
     fn name(self) -> &'static str {
         match self {
             Self::Map => MAP,
-            Self::Link(link) => link.name(),
+            Self::Robot(link) => link.name(),
         }
     }
 }
@@ -290,10 +290,14 @@ mod tests {
                 }
             }
         }
-        let odom = Some((robot(1), FleetFrame::Link(Link::Odom)));
+        let odom = Some((robot(1), FleetFrame::Robot(RobotFrame::Odom)));
         assert_eq!(RobotNames::from(1).parse_frame("odom"), odom);
         let three = RobotNames::from(3);
-        assert_eq!(three.parse_frame("odom_7"), Some((robot(7), FleetFrame::Link(Link::Odom))), "beyond");
+        assert_eq!(
+            three.parse_frame("odom_7"),
+            Some((robot(7), FleetFrame::Robot(RobotFrame::Odom))),
+            "beyond"
+        );
         for other in ["odom", "map", "base_link", "base_link_0", "robot1", "robot/odom", "odom_+1", "odom_"] {
             assert_eq!(three.parse_frame(other), None, "{other}");
         }
@@ -306,13 +310,13 @@ mod tests {
         let plain = named(&[""]).unwrap();
         assert_eq!(plain.topic(robot(1), "scan"), "/scan");
         let frames = FrameNames::new(NameStyle::Flat, &plain);
-        let of_link = |link| frames.link(robot(1), link);
+        let of_link = |link| frames.robot_frame(robot(1), link);
         assert_eq!(
-            [Link::Odom, Link::BaseFootprint, Link::BaseScan].map(of_link),
+            [RobotFrame::Odom, RobotFrame::BaseFootprint, RobotFrame::BaseScan].map(of_link),
             ["odom", "base_footprint", "base_scan"]
         );
         assert_eq!(frames.map(robot(1)), MAP);
-        assert_eq!(plain.parse_frame("odom"), Some((robot(1), FleetFrame::Link(Link::Odom))));
+        assert_eq!(plain.parse_frame("odom"), Some((robot(1), FleetFrame::Robot(RobotFrame::Odom))));
         assert!(plain.is_correction("map", "odom") && !plain.is_correction("odom", "base_footprint"));
     }
 

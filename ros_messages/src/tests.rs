@@ -4,7 +4,7 @@ use super::*;
 use crate::cdr::Writer;
 use bytemuck::Zeroable;
 use msg::{
-    GridHeader, GridView, Header, Link, LinkTransform, MapTransforms, Pose2, RobotId, Stamp, Transforms,
+    GridHeader, GridView, Header, LinkTransform, MapTransforms, Pose2, RobotFrame, RobotId, Stamp, Transforms,
 };
 use proptest::prelude::*;
 use std::fmt::Debug;
@@ -223,9 +223,9 @@ fn all_transforms_have_their_frame_names() {
     let names = FrameNames::new(NameStyle::Flat, &3.into());
     let mut links = Transforms { header: header(7), len: 3, ..Default::default() };
     let link = |parent: u32, child: u32| LinkTransform { parent, child, ..Default::default() };
-    links.links[0] = link(Link::Odom as u32, Link::BaseFootprint as u32);
-    links.links[1] = link(99, Link::BaseLink as u32);
-    links.links[2] = link(Link::BaseLink as u32, Link::BaseScan as u32);
+    links.links[0] = link(RobotFrame::Odom as u32, RobotFrame::BaseFootprint as u32);
+    links.links[1] = link(99, RobotFrame::BaseLink as u32);
+    links.links[2] = link(RobotFrame::BaseLink as u32, RobotFrame::BaseScan as u32);
     let mut out = Vec::new();
     write::transforms(&mut Writer::new(&mut out), &names, robot(2), &links);
     let tree: TfMessage = decode(&out).unwrap();

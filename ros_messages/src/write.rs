@@ -3,8 +3,8 @@
 use crate::cdr::{Dialect, Writer};
 use crate::names::{FrameNames, MAP};
 use msg::{
-    Correction, GridView, Link, LinkTransform, MapTransforms, Odometry, Pose2, Rect, RobotId, RobotStats,
-    Scan, Stamp, Transforms,
+    Correction, GridView, IndexRect, LinkTransform, MapTransforms, Odometry, Pose2, RobotFrame, RobotId,
+    RobotStats, Scan, Stamp, Transforms,
 };
 
 /// Writes builtin_interfaces/Time: whole seconds and the remaining nanoseconds.
@@ -104,16 +104,16 @@ pub fn some_transforms(
     to: &mut Writer<'_>,
     names: &FrameNames,
     robots: &[(RobotId, &Transforms)],
-    wanted: impl Fn(Link) -> bool,
+    wanted: impl Fn(RobotFrame) -> bool,
 ) {
     let known = |link: &LinkTransform| {
-        let child = Link::from_code(link.child).filter(|child| wanted(*child))?;
-        Some((Link::from_code(link.parent)?, child, link.translation_m, link.rotation_xyzw))
+        let child = RobotFrame::from_code(link.child).filter(|child| wanted(*child))?;
+        Some((RobotFrame::from_code(link.parent)?, child, link.translation_m, link.rotation_xyzw))
     };
     to.count(robots.iter().flat_map(|(_, message)| message.links()).filter_map(known).count());
     for (robot, message) in robots {
         for (parent, child, translation, rotation) in message.links().iter().filter_map(known) {
-            let (parent, child) = (names.link(*robot, parent), names.link(*robot, child));
+            let (parent, child) = (names.robot_frame(*robot, parent), names.robot_frame(*robot, child));
             transform(to, message.header.stamp, parent, child, translation, rotation);
         }
     }
@@ -128,7 +128,7 @@ pub fn map_from_odom(
     map_from_odom: Pose2,
 ) {
     to.count(1);
-    let (map, odom) = (names.map(robot), names.link(robot, Link::Odom));
+    let (map, odom) = (names.map(robot), names.robot_frame(robot, RobotFrame::Odom));
     planar_transform(to, stamp, map, odom, map_from_odom);
 }
 
@@ -204,7 +204,7 @@ pub fn occupancy_grid_update(
     frame_id: &str,
     values: &[i8; 256],
     grid: GridView<'_>,
-    area: Rect,
+    area: IndexRect,
 ) {
     header(to, grid.header.header.stamp, frame_id);
     to.i32(area.x0 as i32);
@@ -213,7 +213,7 @@ pub fn occupancy_grid_update(
 }
 
 /// Writes width, height and cells of a rectangle of a grid.
-pub(crate) fn grid_area(to: &mut Writer<'_>, values: &[i8; 256], grid: GridView<'_>, area: Rect) {
+pub(crate) fn grid_area(to: &mut Writer<'_>, values: &[i8; 256], grid: GridView<'_>, area: IndexRect) {
     to.u32(area.width() as u32);
     to.u32(area.height() as u32);
     let rows = grid.cells.chunks_exact((grid.header.width as usize).max(1)).skip(area.y0 as usize);

@@ -77,7 +77,7 @@ pub trait ReadPort<T: Message> {
         newest
     }
     /// Returns the counts of messages received and missed so far.
-    fn gaps(&self) -> ReceiveCounts;
+    fn receive_counts(&self) -> ReceiveCounts;
 }
 
 /// Writes a map's channel: the tiles that changed, and the whole map to readers that request it.
@@ -100,7 +100,7 @@ pub trait ReadMapPort {
     /// Returns the newest complete version, which has no tiles before the first.
     fn map(&self) -> &TileMap;
     /// Returns the counts of messages received and missed so far.
-    fn gaps(&self) -> ReceiveCounts;
+    fn receive_counts(&self) -> ReceiveCounts;
 }
 
 /// Opens channels on behalf of one process, or one thread of it.
@@ -135,19 +135,19 @@ pub trait Ports {
 /// Numbers and stamps a writer's messages.
 #[derive(Clone, Debug)]
 pub struct MessageSequencer {
-    run: u64,
+    incarnation: u64,
     seq: u64,
 }
 
 impl MessageSequencer {
-    /// `run` tells this incarnation of the writer from an earlier one.
-    pub fn new(run: u64) -> Self {
-        Self { run, seq: 0 }
+    /// `incarnation` tells this process of the writer from an earlier one.
+    pub fn new(incarnation: u64) -> Self {
+        Self { incarnation, seq: 0 }
     }
 
     /// Fills in the header of the next message, which is sent now.
     pub fn mark(&mut self, header: &mut Header, now: Monotonic) {
-        (header.incarnation, header.seq, header.sent) = (self.run, self.seq, now);
+        (header.incarnation, header.seq, header.sent) = (self.incarnation, self.seq, now);
         self.seq += 1;
     }
 
@@ -166,16 +166,16 @@ pub struct ReceiveCounts {
     pub lost: u64,
     /// The writer's incarnations seen, less one.
     pub restarts: u64,
-    run: u64,
+    incarnation: u64,
     next: u64,
 }
 
 impl ReceiveCounts {
     /// Counts a message that was received.
     pub fn count(&mut self, header: &Header) {
-        if header.incarnation != self.run {
+        if header.incarnation != self.incarnation {
             self.restarts += u64::from(self.received > 0);
-            self.run = header.incarnation;
+            self.incarnation = header.incarnation;
         } else {
             self.lost += header.seq.saturating_sub(self.next);
         }

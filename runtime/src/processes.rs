@@ -6,7 +6,7 @@ use std::time::Duration;
 
 /// Pose that the supervisor gives a process that it starts again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Resume {
+pub enum RestartState {
     /// Nothing: the process finds what it needs in the run's folder.
     Folder,
     /// The robot's last pose in `world`.
@@ -15,7 +15,7 @@ pub enum Resume {
     MapFromOdom,
 }
 
-impl fmt::Display for Resume {
+impl fmt::Display for RestartState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Folder => "what the run's folder holds",
@@ -37,7 +37,7 @@ pub struct ProcessRow {
     /// Whether it runs only where the fleet is recorded.
     pub recording_only: bool,
     /// Pose that it is given when it is started again.
-    pub resume: Resume,
+    pub restart_state: RestartState,
     /// Longest time without a pass of its main loop; then the supervisor judges whether it hangs.
     pub silence_max: Duration,
     /// Name of its second thread that the supervisor watches.
@@ -64,7 +64,7 @@ const OF_FLEET: ProcessRow = ProcessRow {
     per_robot: false,
     simulated_world_only: false,
     recording_only: false,
-    resume: Resume::Folder,
+    restart_state: RestartState::Folder,
     silence_max: SILENCE_MAX,
     second_thread: None,
 };
@@ -83,7 +83,7 @@ pub static PROCESSES: [ProcessRow; 7] = [
     ProcessRow {
         role: Role::Slam,
         per_robot: true,
-        resume: Resume::MapFromOdom,
+        restart_state: RestartState::MapFromOdom,
         second_thread: Some("back end"),
         ..OF_FLEET
     },
@@ -91,7 +91,7 @@ pub static PROCESSES: [ProcessRow; 7] = [
         role: Role::Sim,
         per_robot: true,
         simulated_world_only: true,
-        resume: Resume::WorldFromBase,
+        restart_state: RestartState::WorldFromBase,
         ..OF_FLEET
     },
     ProcessRow { role: Role::Record, recording_only: true, ..OF_FLEET },

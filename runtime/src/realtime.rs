@@ -57,7 +57,7 @@ impl Default for RealtimeConfig {
 
 /// A requested setting with its result.
 #[derive(Debug)]
-pub struct Outcome {
+pub struct SettingResult {
     /// Description of the setting, for people.
     pub setting: String,
     /// Success, or the reason of the refusal with the permission that is missing.
@@ -171,10 +171,11 @@ impl RealtimeConfig {
 
     /// Applies a role's settings to the calling thread and to the threads that it starts. `mr-slam doctor`
     /// calls it in a process of its own to find out what is permitted.
-    pub fn apply(&self, role: Role) -> Vec<Outcome> {
+    pub fn apply(&self, role: Role) -> Vec<SettingResult> {
         let mut outcomes = Vec::new();
-        let mut record =
-            |setting: String, result: Result<(), SettingError>| outcomes.push(Outcome { setting, result });
+        let mut record = |setting: String, result: Result<(), SettingError>| {
+            outcomes.push(SettingResult { setting, result })
+        };
         // Before the priority: a real-time thread has no slice.
         if let Some(slice) = self.slice().filter(|_| PUNCTUAL_ROLES.contains(&role)) {
             record(

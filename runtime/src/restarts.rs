@@ -27,7 +27,7 @@ pub enum State {
         until: Monotonic,
     },
     /// The process is not started again, because it died too often.
-    Held,
+    GivenUp,
 }
 
 /// Decides when one process is started again.
@@ -68,7 +68,7 @@ impl RestartPolicy {
         }
         self.deaths += 1;
         self.state = if self.deaths >= DEATHS_MAX {
-            State::Held
+            State::GivenUp
         } else {
             let delay = match self.deaths {
                 1 => Duration::ZERO,

@@ -106,7 +106,7 @@ impl Participant {
             .buffer_size(channel.row.depth)
             .create()
             .map_err(failed("cannot read channel", &channel.name))?;
-        Ok(Reader { subscriber, gaps: ReceiveCounts::default() })
+        Ok(Reader { subscriber, receive_counts: ReceiveCounts::default() })
     }
 
     /// Opens or creates the channel. Both ends use the same settings, so either may come first.
@@ -220,14 +220,14 @@ impl<T: Message> WritePort<T> for Writer<T> {
 /// Reads one channel in shared memory.
 pub struct Reader<T: Message> {
     subscriber: Subscriber<ipc::Service, Shared<T>, ()>,
-    gaps: ReceiveCounts,
+    receive_counts: ReceiveCounts,
 }
 
 impl<T: Message> Reader<T> {
     /// Returns the oldest message not yet read. It is borrowed from shared memory: drop it soon.
     pub fn receive(&mut self) -> Option<Received<T>> {
         let sample = self.subscriber.receive().ok()??;
-        self.gaps.count(sample.payload().0.header());
+        self.receive_counts.count(sample.payload().0.header());
         Some(Received(sample))
     }
 
@@ -237,8 +237,8 @@ impl<T: Message> Reader<T> {
     }
 
     /// Returns the counts of messages received and missed so far.
-    pub fn gaps(&self) -> ReceiveCounts {
-        self.gaps
+    pub fn receive_counts(&self) -> ReceiveCounts {
+        self.receive_counts
     }
 }
 
@@ -247,8 +247,8 @@ impl<T: Message> ReadPort<T> for Reader<T> {
     fn receive(&mut self) -> Option<Received<T>> {
         Reader::receive(self)
     }
-    fn gaps(&self) -> ReceiveCounts {
-        self.gaps
+    fn receive_counts(&self) -> ReceiveCounts {
+        self.receive_counts
     }
 }
 

@@ -125,14 +125,14 @@ impl<S: Send + 'static> SpareTime<S> {
 }
 
 /// Does jobs at once, or in the processor time that others leave.
-pub enum Work<S> {
+pub enum JobExecutor<S> {
     /// In the caller's thread, for lockstep.
     Now(Box<S>),
     /// In threads of their own.
     Later(SpareTime<S>),
 }
 
-impl<S: Send + 'static> Work<S> {
+impl<S: Send + 'static> JobExecutor<S> {
     /// Does a job that takes so many bytes of memory while it waits. Returns false, and drops it, if too much waits.
     pub fn push(&mut self, bytes: usize, run: Action<S>) -> bool {
         match self {

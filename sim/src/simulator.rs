@@ -13,8 +13,8 @@ use core::time::Duration;
 use glam::DQuat;
 use msg::pose::wrap_angle;
 use msg::{
-    GroundTruth, Header, Link, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotId, Scan, Stamp, Transforms,
-    VelocityCommand,
+    GroundTruth, Header, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotId, Scan, Stamp,
+    Transforms, VelocityCommand,
 };
 use parry3d::math::Pose;
 use parry3d::shape::SharedShape;
@@ -282,12 +282,17 @@ impl Simulator {
         let wheel = |angle_rad| DQuat::from_rotation_x(-FRAC_PI_2) * DQuat::from_rotation_z(angle_rad);
         let still = DQuat::IDENTITY;
         let links = [
-            link(Link::Odom, Link::BaseFootprint, [x_m, y_m, 0.0], DQuat::from_rotation_z(yaw_rad)),
-            link(Link::BaseFootprint, Link::BaseLink, burger::BASE_LINK_M, still),
-            link(Link::BaseLink, Link::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
-            link(Link::BaseLink, Link::WheelLeft, [wx, wy, wz], wheel(left_rad)),
-            link(Link::BaseLink, Link::WheelRight, [wx, -wy, wz], wheel(right_rad)),
-            link(Link::BaseLink, Link::Imu, burger::IMU_IN_BASE_LINK_M, still),
+            link(
+                RobotFrame::Odom,
+                RobotFrame::BaseFootprint,
+                [x_m, y_m, 0.0],
+                DQuat::from_rotation_z(yaw_rad),
+            ),
+            link(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
+            link(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
+            link(RobotFrame::BaseLink, RobotFrame::WheelLeft, [wx, wy, wz], wheel(left_rad)),
+            link(RobotFrame::BaseLink, RobotFrame::WheelRight, [wx, -wy, wz], wheel(right_rad)),
+            link(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
         ];
         let mut transforms =
             Transforms { header: self.header(), len: links.len() as u32, ..Transforms::default() };
@@ -301,10 +306,10 @@ pub fn transforms_of(odometry: &Odometry) -> Transforms {
     let Pose2 { x_m, y_m, yaw_rad } = odometry.odom_from_base;
     let still = DQuat::IDENTITY;
     let links = [
-        link(Link::Odom, Link::BaseFootprint, [x_m, y_m, 0.0], DQuat::from_rotation_z(yaw_rad)),
-        link(Link::BaseFootprint, Link::BaseLink, burger::BASE_LINK_M, still),
-        link(Link::BaseLink, Link::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
-        link(Link::BaseLink, Link::Imu, burger::IMU_IN_BASE_LINK_M, still),
+        link(RobotFrame::Odom, RobotFrame::BaseFootprint, [x_m, y_m, 0.0], DQuat::from_rotation_z(yaw_rad)),
+        link(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
+        link(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
+        link(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
     ];
     let mut transforms =
         Transforms { header: odometry.header, len: links.len() as u32, ..Transforms::default() };
@@ -312,7 +317,7 @@ pub fn transforms_of(odometry: &Odometry) -> Transforms {
     transforms
 }
 
-fn link(parent: Link, child: Link, translation_m: [f64; 3], rotation: DQuat) -> LinkTransform {
+fn link(parent: RobotFrame, child: RobotFrame, translation_m: [f64; 3], rotation: DQuat) -> LinkTransform {
     LinkTransform {
         parent: parent as u32,
         child: child as u32,

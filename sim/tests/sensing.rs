@@ -7,7 +7,7 @@ use common::{Run, drive, quiet, robot, scan};
 use core::f64::consts::FRAC_PI_2;
 use glam::DQuat;
 use msg::pose::wrap_angle;
-use msg::{GroundTruth, Header, Link, Pose2, RobotId, Scan, Stamp};
+use msg::{GroundTruth, Header, Pose2, RobotFrame, RobotId, Scan, Stamp};
 use sim::{LidarConfig, NoiseConfig, Room, SimConfig, Simulator};
 
 const OPEN: Pose2 = Pose2::new(-1.2, -1.7, 0.6);
@@ -152,16 +152,16 @@ fn transforms_equal_those_of_the_turtlebot3() {
     }
     let (transforms, odometry) = last.unwrap();
     let edges: Vec<_> = transforms.links().iter().map(|l| (l.parent, l.child)).collect();
-    let edge = |parent: Link, child: Link| (parent as u32, child as u32);
+    let edge = |parent: RobotFrame, child: RobotFrame| (parent as u32, child as u32);
     assert_eq!(
         edges,
         [
-            edge(Link::Odom, Link::BaseFootprint),
-            edge(Link::BaseFootprint, Link::BaseLink),
-            edge(Link::BaseLink, Link::BaseScan),
-            edge(Link::BaseLink, Link::WheelLeft),
-            edge(Link::BaseLink, Link::WheelRight),
-            edge(Link::BaseLink, Link::Imu),
+            edge(RobotFrame::Odom, RobotFrame::BaseFootprint),
+            edge(RobotFrame::BaseFootprint, RobotFrame::BaseLink),
+            edge(RobotFrame::BaseLink, RobotFrame::BaseScan),
+            edge(RobotFrame::BaseLink, RobotFrame::WheelLeft),
+            edge(RobotFrame::BaseLink, RobotFrame::WheelRight),
+            edge(RobotFrame::BaseLink, RobotFrame::Imu),
         ]
     );
     let base = transforms.links()[0];

@@ -2,7 +2,7 @@
 //! (Censi, "An ICP variant using a point-to-line metric", ICRA 2008; weights: Cauchy).
 
 use crate::cloud::Cloud;
-use crate::config::LinkConfig;
+use crate::config::{AlignmentConfig, LinkConfig};
 use crate::point_transform::PointTransform;
 use msg::Pose2;
 use nalgebra::{Matrix3, Vector3};
@@ -139,7 +139,7 @@ pub fn align<'a>(
     guess: Pose2,
     references: impl Iterator<Item = Reference<'a>> + Clone,
     prior: Option<Prior>,
-    config: &LinkConfig,
+    config: &AlignmentConfig,
 ) -> ScanAlignment {
     let mut pose = guess;
     let weight = 1.0 / (config.point_sigma_m * config.point_sigma_m);
@@ -213,11 +213,11 @@ fn normal_equations<'a>(
             let [px, py] = p.at.map(f64::from);
             let lever = [-sin * px - cos * py, cos * px - sin * py];
             let away = [at[0] - surface.at[0], at[1] - surface.at[1]].map(f64::from);
-            if surface.is_flat() {
+            if surface.has_normal() {
                 let axis = frame_from_reference.direction(surface.normal);
                 let (j, w) = sums.add(&lever, axis, surface.normal, away, share, cauchy_m);
                 sums.of_lines += j * j.transpose() * w;
-                if p.is_flat() {
+                if p.has_normal() {
                     let own = jacobian(frame_from_cloud.direction(p.normal).map(f64::from), &lever);
                     sums.of_both_normals += j * (own * w).transpose();
                 }

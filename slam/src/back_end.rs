@@ -2,7 +2,7 @@
 //! searches for places seen before, solves, and draws. It may run on any thread: the result depends
 //! on the nodes alone.
 //!
-//! `links` links a node with older ones, `components` handles those that nothing connects, `loop_closer` remembers
+//! `links` links a node with older ones, `components` handles those that nothing connects, `loop_closures` remembers
 //! what to search for. `modes` decides what a node is used for; `state` is what a session keeps, `undo` what people
 //! take back, `lifelong` what a lasting map removes.
 
@@ -12,7 +12,7 @@ mod doubts;
 mod lifelong;
 mod links;
 mod localization_state;
-mod loop_closer;
+mod loop_closures;
 mod modes;
 mod node_numbers;
 mod odometry_noise;
@@ -24,7 +24,7 @@ mod uncertain_pieces;
 mod undo;
 
 pub use doubts::DoubtMonitor;
-pub use loop_closer::RejectedClosure;
+pub use loop_closures::RejectedClosure;
 pub use modes::{InitialPose, PlaceInMap};
 pub use state::BackEndState;
 pub use undo::ClosureReport;
@@ -34,12 +34,12 @@ use crate::config::SlamConfig;
 use crate::graph::{EdgeKind, Graph, RelativeUncertainty};
 use crate::localizer::{Localizer, LocalizerCounts};
 use crate::mapper::OccupancyMapper;
-use crate::node::{Node, Revision};
+use crate::node::{MapFrameUpdate, Node};
 use crate::relocalize::RelocalizationCounts;
 use crate::stages::{Stage, StageObserver};
 use lifelong::Lifelong;
 use localization_state::LocalizationState;
-use loop_closer::LoopCloser;
+use loop_closures::LoopClosureState;
 use msg::{GridView, Header, Monotonic, TileMap};
 use node_numbers::NodeNumbers;
 use odometry_noise::OdometryNoise;
@@ -74,8 +74,8 @@ const BREAK_VARIANCE: [f64; 2] = [BREAK_M * BREAK_M, BREAK_RAD * BREAK_RAD];
 /// let (mut front, mut back) = (FrontEnd::new(config.clone()), BackEnd::new(config));
 /// let node = front.process(&scan).node.expect("the first scan becomes a node");
 /// // The back end may do this on another thread, and later.
-/// let revision = back.add_node(node);
-/// front.add_revision(revision);
+/// let frame_update = back.add_node(node);
+/// front.add_frame_update(frame_update);
 /// assert_eq!(back.nodes().len(), 1);
 /// assert!(back.map().header.width >= 80, "4 m in cells of 5 cm");
 /// ```
@@ -85,7 +85,7 @@ pub struct BackEnd {
     /// The nodes, by id; their poses are the graph's.
     nodes: Vec<Node>,
     graph: Graph,
-    loop_closer: LoopCloser,
+    loop_closures: LoopClosureState,
     location: LocalizationState,
     lifelong: Lifelong,
     numbers: NodeNumbers,
@@ -136,7 +136,7 @@ impl BackEnd {
         Self {
             nodes: Vec::new(),
             graph: Graph::new(config.graph.clone()),
-            loop_closer: LoopCloser::new(config.clone()),
+            loop_closures: LoopClosureState::new(config.clone()),
             location: LocalizationState::new(),
             lifelong: Lifelong::default(),
             numbers: NodeNumbers::default(),
@@ -157,13 +157,13 @@ impl BackEnd {
     }
 
     /// Adds the next node of the front end, as the mode wants it: locates the robot with it, or grows the map.
-    pub fn add_node(&mut self, node: Node) -> Revision {
-        let node = node.kept();
+    pub fn add_node(&mut self, node: Node) -> MapFrameUpdate {
+        let node = node.into_owned();
         self.numbers.newest_front = node.id;
         self.process_node(node);
         self.update_doubts();
         self.stages.stage_started(Stage::Idle);
-        self.revision()
+        self.frame_update()
     }
 
     /// Grows the map by a node.
@@ -187,7 +187,7 @@ impl BackEnd {
         self.check_unverified_edge(id, &relative);
         let untied = !self.newest_is_tied();
         // Search for a place seen before; between two searches, retry a node that was not found.
-        if self.loop_closer.is_search_due() {
+        if self.loop_closures.is_search_due() {
             self.search_closure(id, &relative);
         } else {
             self.retry_closure();
@@ -222,10 +222,10 @@ impl BackEnd {
     fn search_closure(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) -> bool {
         self.stages.stage_started(Stage::Closure);
         let view = GraphView { nodes: &self.nodes, graph: &self.graph };
-        match self.loop_closer.detector.search(&view, id, relative, self.loop_closer.travelled_m) {
+        match self.loop_closures.detector.search(&view, id, relative, self.loop_closures.travelled_m) {
             ClosureSearchResult::NoCandidate => return false,
             ClosureSearchResult::NotFound | ClosureSearchResult::Unconfirmed => {
-                self.loop_closer.record_not_found(id);
+                self.loop_closures.record_not_found(id);
             }
             ClosureSearchResult::Accepted(closures) => self.add_closures(&closures),
         }
@@ -234,13 +234,13 @@ impl BackEnd {
 
     /// Searches once more for a node that was not found before the last closure; false if there is none.
     fn retry_closure(&mut self) -> bool {
-        while let Some(id) = self.loop_closer.to_retry.pop_front() {
+        while let Some(id) = self.loop_closures.to_retry.pop_front() {
             self.stages.stage_started(Stage::Link);
             let relative = self.uncertainty_from(id);
             self.unsolved += usize::from(self.link_near(id, &relative) > 0);
             self.stages.stage_started(Stage::Closure);
             let view = GraphView { nodes: &self.nodes, graph: &self.graph };
-            match self.loop_closer.detector.search(&view, id, &relative, self.loop_closer.travelled_m) {
+            match self.loop_closures.detector.search(&view, id, &relative, self.loop_closures.travelled_m) {
                 ClosureSearchResult::NoCandidate => continue,
                 ClosureSearchResult::NotFound | ClosureSearchResult::Unconfirmed => {}
                 ClosureSearchResult::Accepted(closures) => self.add_closures(&closures),
@@ -252,16 +252,16 @@ impl BackEnd {
 
     /// Counts of what has been done.
     pub fn counts(&self) -> BackEndCounts {
-        let count = |kind| self.graph.edges().iter().filter(|e| e.in_force && e.kind == kind).count();
+        let count = |kind| self.graph.edges().iter().filter(|e| e.is_active && e.kind == kind).count();
         BackEndCounts {
             nodes: self.nodes.len(),
             links: count(EdgeKind::Link),
             closures: count(EdgeKind::Closure),
-            retracted: self.loop_closer.retracted,
+            retracted: self.loop_closures.retracted,
             solutions: self.solutions,
             failed_solutions: self.failed_solutions(),
             not_drawn: self.mapper.clipped(),
-            searches: self.loop_closer.detector.counts(),
+            searches: self.loop_closures.detector.counts(),
             relocalization: self.location.relocalization_counts(),
             localized: self.location.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
             retired: self.lifelong.retired,
@@ -309,14 +309,14 @@ impl BackEnd {
 
     /// The map is as of this scan until the next one is drawn: a loaded map's own are of another time.
     pub fn set_map_header(&mut self, header: Header, scan_sent: Monotonic) {
-        self.mapper.date(header, scan_sent);
+        self.mapper.set_header(header, scan_sent);
     }
 
     /// Adds accepted closures to the graph, solves, and links the nodes around them. Where they and others show together that the
     /// path is wrong, it is broken.
     fn add_closures(&mut self, closures: &[ClosureCandidate]) {
         let closures: Vec<ClosureCandidate> =
-            closures.iter().filter(|closure| !self.loop_closer.is_rejected(closure)).copied().collect();
+            closures.iter().filter(|closure| !self.loop_closures.is_rejected(closure)).copied().collect();
         if closures.is_empty() {
             return;
         }
@@ -336,7 +336,7 @@ impl BackEnd {
             let relative = self.uncertainty_from(id);
             self.link_near(id, &relative);
         }
-        self.loop_closer.retry_not_found();
+        self.loop_closures.retry_not_found();
         self.solve(false);
         self.break_path_at_refuted_closures();
     }
@@ -366,12 +366,12 @@ impl BackEnd {
         let contradicted: Vec<usize> = (0..self.graph.edges().len())
             .filter(|&i| {
                 let edge = &self.graph.edges()[i];
-                edge.in_force && edge.kind == EdgeKind::Closure && self.graph.chi_squared(edge) > limit
+                edge.is_active && edge.kind == EdgeKind::Closure && self.graph.chi_squared(edge) > limit
             })
             .collect();
         for &index in &contradicted {
-            self.graph.edge_mut(index).in_force = false;
-            self.loop_closer.retracted += 1;
+            self.graph.edge_mut(index).is_active = false;
+            self.loop_closures.retracted += 1;
         }
         self.count_closures();
     }
@@ -380,7 +380,7 @@ impl BackEnd {
     fn count_closures(&mut self) {
         self.update_components();
         self.update_covariances();
-        let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;
-        self.loop_closer.in_force = self.graph.edges().iter().filter(in_force).count() as u32;
+        let is_active = |e: &&crate::graph::Edge| e.is_active && e.kind == EdgeKind::Closure;
+        self.loop_closures.active_count = self.graph.edges().iter().filter(is_active).count() as u32;
     }
 }

@@ -210,12 +210,12 @@ impl ClosureDetector {
                     && self.sees_enough(candidate)
             })
             .filter_map(|id| {
-                let way = relative[id as usize];
-                if way.as_ref().is_some_and(known) || !errors.matter(way) {
+                let relative = relative[id as usize];
+                if relative.as_ref().is_some_and(known) || !errors.matter(relative) {
                     return None;
                 }
-                let sigma = way.map_or(f64::INFINITY, |known| errors.of(known).position_variance_m2.sqrt());
-                let reach = c.radius_m + (c.window_sigmas * sigma).min(c.window_max_m);
+                let sigma_m = relative.map_or(f64::INFINITY, |r| errors.of(r).position_variance_m2.sqrt());
+                let reach = c.radius_m + (c.window_sigmas * sigma_m).min(c.window_max_m);
                 let distance = here.distance_m(graph.poses()[id as usize]);
                 (distance < reach).then_some((distance, id))
             })
@@ -328,11 +328,11 @@ impl ClosureDetector {
         let limits =
             SearchLimits { score_min: c.response_min, evaluations_max: c.evaluations_max, except: None };
         let Some(peak) = self.field.search(&points, window, &limits, &mut self.scratch) else {
-            self.counts.no_response += 1;
+            self.counts.below_min_response += 1;
             return None;
         };
         let rival = SearchLimits {
-            score_min: peak.score * c.rival_max,
+            score_min: peak.score * c.ambiguity_ratio_max,
             except: Some((peak.pose, RIVAL_M, RIVAL_RAD)),
             ..limits
         };
@@ -361,7 +361,7 @@ impl ClosureDetector {
             query.iter().map(|(n, pose)| (&*n.cloud, *pose)),
             QUERY_SCANS * self.config.lidar.points_max,
         );
-        let fit = align(&merged, peak.pose, references, None, &self.config.links);
+        let fit = align(&merged, peak.pose, references, None, &self.config.alignment);
         let shifted = fit.frame_from_cloud.distance_m(peak.pose) > ALIGNMENT_SHIFT_MAX_M;
         let agreement = compare_passes(near.iter().copied(), query, fit.frame_from_cloud);
         let sound = agreement.is_sound(c.agreement_min);
@@ -386,7 +386,7 @@ impl ClosureDetector {
         let mut together: Vec<ClosureCandidate> =
             self.pending.iter().filter(|f| agrees(f)).copied().collect();
         together.push(found);
-        if together.len() < c.witnesses {
+        if together.len() < c.confirmations_min {
             if self.pending.len() == PENDING_MAX {
                 self.pending.pop_front();
             }

@@ -40,7 +40,7 @@ pub struct SurfacePoint {
 
 impl SurfacePoint {
     /// Whether the surface's direction is known.
-    pub fn is_flat(&self) -> bool {
+    pub fn has_normal(&self) -> bool {
         self.normal != [0.0; 2]
     }
 }
@@ -192,8 +192,8 @@ impl Cloud {
     pub fn sees_through(&self, at: [f32; 2], margin_m: f32) -> bool {
         let (x, y) = (at[0] - self.sensor[0], at[1] - self.sensor[1]);
         let reach_cm = ((x * x + y * y).sqrt() + margin_m) * 100.0;
-        let centroid_m = bearing(x, y);
-        let around = [centroid_m + BEARINGS - 1, centroid_m, centroid_m + 1];
+        let bearing_bin = bearing(x, y);
+        let around = [bearing_bin + BEARINGS - 1, bearing_bin, bearing_bin + 1];
         around.iter().all(|b| f32::from(self.seen_cm[b % BEARINGS]) > reach_cm)
     }
 

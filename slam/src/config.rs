@@ -18,6 +18,8 @@ pub struct SlamConfig {
     pub odometry: OdometryConfig,
     /// The scan path: matching against the local map.
     pub tracking: TrackingConfig,
+    /// The point-to-line alignment of scans.
+    pub alignment: AlignmentConfig,
     /// Scan to scan constraints in the pose graph.
     pub links: LinkConfig,
     /// The search for places seen before.
@@ -129,8 +131,24 @@ pub struct TrackingConfig {
     pub lost_scans_max: u32,
 }
 
-/// Scan-to-scan links in the pose graph, and the alignment behind them.
-// More than 12 fields: one field for each key of one table of the fleet file.
+/// Point-to-line alignment of scans (`align.rs`), wherever scans are aligned: tracking, links, closures, relocalization.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AlignmentConfig {
+    /// Search radius of a point's surface in the first iterations, metres; 0.01 to 0.5. It is the
+    /// largest error of a guess.
+    pub gate_wide_m: f32,
+    /// Search radius in the last iterations, metres; 0.01 to 0.5. 4 standard deviations of a point.
+    pub gate_narrow_m: f32,
+    /// Scale of the alignment's Cauchy weights, metres; above 0. A little more than a point's
+    /// standard deviation.
+    pub cauchy_m: f64,
+    /// Standard deviation of a matched point's distance from its surface, metres; 0.0001 to 1.
+    /// LiDAR noise and thinning together.
+    pub point_sigma_m: f64,
+}
+
+/// Scan-to-scan links in the pose graph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinkConfig {
@@ -154,17 +172,6 @@ pub struct LinkConfig {
     /// Least share of the compared points that do not contradict what the other scan saw through, 0
     /// to 1.
     pub agreement_min: f32,
-    /// Search radius of a point's surface in the first iterations, metres; 0.01 to 0.5. It is the
-    /// largest error of a guess.
-    pub gate_wide_m: f32,
-    /// Search radius in the last iterations, metres; 0.01 to 0.5. 4 standard deviations of a point.
-    pub gate_narrow_m: f32,
-    /// Scale of the alignment's Cauchy weights, metres; above 0. A little more than a point's
-    /// standard deviation.
-    pub cauchy_m: f64,
-    /// Standard deviation of a matched point's distance from its surface, metres; 0.0001 to 1.
-    /// LiDAR noise and thinning together.
-    pub point_sigma_m: f64,
     /// Share of their information that points without a surface direction count in links, 0 to 1.
     /// They would hold a robot along a corridor, where they say nothing; 0.1 and 0.3 were worse at
     /// 90°.
@@ -218,7 +225,7 @@ pub struct ClosureConfig {
     pub response_min: f32,
     /// A second, different pose must score below this share of the best one, 0 to 1; else the place
     /// is ambiguous.
-    pub rival_max: f32,
+    pub ambiguity_ratio_max: f32,
     /// Least share of compared points that do not contradict what the other scans saw through, 0 to
     /// 1.
     pub agreement_min: f32,
@@ -226,7 +233,7 @@ pub struct ClosureConfig {
     pub overlap_min: f32,
     /// Searches from different places that must agree before a closure is accepted; 1 or more. One
     /// alone may be a corridor that looks alike.
-    pub witnesses: usize,
+    pub confirmations_min: usize,
     /// Two searches agree within this distance, metres; above 0. Drift between them and the field's
     /// cells.
     pub agree_m: f64,
@@ -264,9 +271,9 @@ pub struct GraphConfig {
     /// Standard deviations by which the solved graph contradicts a closure that is then taken back;
     /// above 0. 10 instead of 6 gave the same error.
     pub retract_sigmas: f64,
-    /// Nodes after its cause at which a revision takes effect in the front end; 1 or more. Enough
+    /// Nodes after its cause at which a frame update takes effect in the front end; 1 or more. Enough
     /// that a back end that keeps up has answered, so that runs repeat.
-    pub revision_lag_nodes: u32,
+    pub frame_update_lag_nodes: u32,
 }
 
 /// The occupancy grid.
@@ -276,10 +283,10 @@ pub struct MapConfig {
     /// Side of a cell, metres; 0.01 to 1. ROS 2's usual 5 cm.
     pub resolution_m: f64,
     /// Natural log-odds that a hit adds; 0.05 to 6. A probability of 0.7.
-    pub hit: f64,
+    pub hit_log_odds: f64,
     /// Natural log-odds that a beam passing through takes away; 0.05 to 6. A probability of 0.4:
     /// two misses outweigh a hit.
-    pub miss: f64,
+    pub miss_log_odds: f64,
     /// Returns farther than this are not drawn, metres; 0.1 to 200. Heading errors smear them over
     /// more than a cell.
     pub range_max_m: f32,
@@ -303,7 +310,7 @@ pub struct RelocalizeConfig {
     /// map has more places that look alike.
     pub response_min: f32,
     /// Poses that score above this share of the best one are verified too, 0 to 1.
-    pub rival_share: f32,
+    pub candidate_ratio_min: f32,
     /// The most poses verified in one search; 1 to 100.
     pub places_max: usize,
     /// Least share of the query that finds a surface, 0 to 1.
@@ -312,9 +319,9 @@ pub struct RelocalizeConfig {
     /// 1.
     pub agreement_min: f32,
     /// Searches that must agree before the robot counts as located, without an estimate; 1 or more.
-    pub witnesses: usize,
-    /// Path between two searches that count as witnesses, metres; 0 or more.
-    pub apart_m: f64,
+    pub confirmations_min: usize,
+    /// Path between two searches that count as independent, metres; 0 or more.
+    pub confirmation_distance_m: f64,
     /// Path between two searches, metres; 0 or more; a turn of a radian counts as much.
     pub travel_m: f64,
     /// Searches agree within this distance, metres; above 0.

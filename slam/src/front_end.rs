@@ -20,7 +20,7 @@ pub use state::FrontEndState;
 use crate::clock_reset::ClockResetDetector;
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
-use crate::node::{Node, Revision, SweptPath};
+use crate::node::{MapFrameUpdate, Node, SweptPath};
 use crate::scan_buffers::ScanBufferPool;
 use crate::stages::{Stage, StageObserver};
 use local_frame::LocalFrameInMap;
@@ -55,9 +55,9 @@ pub struct FrontEndCounts {
     /// Clocks that were set back for good: their new time was taken over.
     pub clock_set_back: u64,
     /// Scans rejected for [`ScanRejection::BeamCount`].
-    pub beam_count: u64,
+    pub rejected_beam_count: u64,
     /// Scans rejected for [`ScanRejection::Geometry`].
-    pub geometry: u64,
+    pub rejected_geometry: u64,
     /// Scans that did not fit the map, or saw too little to tell.
     pub lost: u64,
     /// Odometry messages that were no numbers or not newer than the last.
@@ -225,21 +225,21 @@ impl FrontEnd {
     }
 
     /// Adds the back end's answer to an earlier node; it takes effect with the node that it names.
-    pub fn add_revision(&mut self, revision: Revision) {
-        self.frame.add_revision(revision);
+    pub fn add_frame_update(&mut self, frame_update: MapFrameUpdate) {
+        self.frame.add_frame_update(frame_update);
     }
 
     /// Takes over how good the map and the robot's place in it are, before the first node of a session that goes on.
-    pub(crate) fn apply_quality(&mut self, revision: Revision) {
-        self.frame.apply_quality(revision);
+    pub(crate) fn apply_quality(&mut self, frame_update: MapFrameUpdate) {
+        self.frame.apply_quality(frame_update);
     }
 
-    /// Applies a revision at once, as after a change of the graph that no node caused.
-    pub fn apply_revision(&mut self, revision: Revision) {
-        self.frame.replace_revisions(revision);
+    /// Applies a frame update at once, as after a change of the graph that no node caused.
+    pub fn apply_frame_update(&mut self, frame_update: MapFrameUpdate) {
+        self.frame.replace_frame_updates(frame_update);
     }
 
-    /// Sets the pose of the front end's frame in the map until the next revision; `None` marks the robot as not located.
+    /// Sets the pose of the front end's frame in the map until the next frame update; `None` marks the robot as not located.
     pub fn set_map_from_local(&mut self, map_from_local: Option<Pose2>) {
         self.frame.set(map_from_local);
     }
@@ -275,7 +275,7 @@ impl FrontEnd {
     }
 
     fn extend_swept_path(&mut self, pose: &TrackedPose) {
-        if pose.fits && self.config.map.robot_radius_m > 0.0 {
+        if pose.is_tracked && self.config.map.robot_radius_m > 0.0 {
             let position = [pose.local_from_base.x_m as f32, pose.local_from_base.y_m as f32];
             self.nodes.swept_path.push(position);
         }
@@ -296,8 +296,8 @@ impl FrontEnd {
         cloud: Arc<Cloud>,
     ) -> Option<Node> {
         let id = self.nodes.next_node;
-        let fits = pose.fits;
-        if !fits && self.matcher.contradicts(&cloud, pose.local_from_base) {
+        let is_tracked = pose.is_tracked;
+        if !is_tracked && self.matcher.contradicts(&cloud, pose.local_from_base) {
             self.frame.break_at(id);
             self.counts.odometry_breaks += 1;
         }
@@ -308,8 +308,8 @@ impl FrontEnd {
             id,
             header: scan.header,
             local_from_base: pose.local_from_base,
-            previous_from_this: self.nodes.sent_from_newest.zip(moved).map(|(a, b)| a * b),
-            fits,
+            previous_from_this: self.nodes.published_from_newest.zip(moved).map(|(a, b)| a * b),
+            is_tracked,
             odometry_break: self.frame.last_break == Some(id),
             disconnected_component: None,
             uncertain_piece: None,
@@ -319,18 +319,18 @@ impl FrontEnd {
             swept_path: SweptPath::default(),
         };
         let has_capacity = self.scan_buffers.has_capacity(self.matcher.references.len() + 1);
-        if !fits {
+        if !is_tracked {
             self.nodes.lost_in_row = 0;
         }
-        self.matcher.add_reference(node.clone(), !fits, &self.config.tracking);
+        self.matcher.add_reference(node.clone(), !is_tracked, &self.config.tracking);
         if !has_capacity {
-            self.nodes.sent_from_newest = node.previous_from_this;
+            self.nodes.published_from_newest = node.previous_from_this;
             self.counts.nodes_held_back += 1;
             return None;
         }
-        self.frame.apply_revisions(id);
+        self.frame.apply_frame_updates(id);
         // A path that the scans contradict was another one.
-        let keep_path = self.config.map.robot_radius_m > 0.0 && fits && !node.odometry_break;
+        let keep_path = self.config.map.robot_radius_m > 0.0 && is_tracked && !node.odometry_break;
         Some(self.nodes.publish(node, keep_path))
     }
 
@@ -353,7 +353,7 @@ impl FrontEnd {
         match (self.frame.is_located, pose.state) {
             (false, _) => TrackingState::Lost,
             (true, TrackingState::Tracking | TrackingState::Degenerate) if self.frame.is_unreliable => {
-                TrackingState::Unreliable
+                TrackingState::MapUnreliable
             }
             (true, state) => state,
         }

@@ -52,7 +52,7 @@ pub struct Edge {
     /// Origin of the measurement.
     pub kind: EdgeKind,
     /// Whether the edge has effect; false after it was retracted.
-    pub in_force: bool,
+    pub is_active: bool,
     /// Variances for the propagation of uncertainty: position (worst direction) and heading.
     pub variance: [f64; 2],
     /// Of a closure: how well the scans fitted, 0 to 1.
@@ -117,7 +117,7 @@ pub struct Graph {
     /// Covariance of each pose in the map; `None` where no edge says.
     covariances: Vec<Option<pose_covariance::PathCovariance>>,
     /// The node that they are seen from.
-    covariances_seen_from: u32,
+    covariance_reference_node: u32,
     edges: Vec<Edge>,
     /// Variance of links and closures as a multiple of what they claim, by the last solution.
     variance_factor: f64,
@@ -136,7 +136,7 @@ impl Graph {
             config,
             poses: Vec::new(),
             covariances: Vec::new(),
-            covariances_seen_from: 0,
+            covariance_reference_node: 0,
             edges: Vec::new(),
             variance_factor: 1.0,
             repeating_odometry_errors: [0.0; 2],
@@ -185,7 +185,7 @@ impl Graph {
 
     /// Active edges at a node.
     pub fn edges_of(&self, node: u32) -> impl Iterator<Item = &Edge> {
-        self.edges_of_node[node as usize].iter().map(|&e| &self.edges[e as usize]).filter(|e| e.in_force)
+        self.edges_of_node[node as usize].iter().map(|&e| &self.edges[e as usize]).filter(|e| e.is_active)
     }
 
     /// Moves a node: `shift` takes its old pose's frame to the new one's.
@@ -219,7 +219,7 @@ impl Graph {
         let position = plane.symmetric_eigenvalues().max().max(POSITION_VARIANCE_MIN) + drift[0].powi(2);
         let variance = [position, covariance[(2, 2)].max(HEADING_VARIANCE_MIN) + drift[1].powi(2)];
         let index = self.edges.len() as u32;
-        self.edges.push(Edge { a, b, a_from_b, information, kind, in_force: true, variance, response: 0.0 });
+        self.edges.push(Edge { a, b, a_from_b, information, kind, is_active: true, variance, response: 0.0 });
         self.edges_of_node[a as usize].push(index);
         self.edges_of_node[b as usize].push(index);
     }
@@ -244,8 +244,12 @@ impl Graph {
 
     /// How well the nodes around `from` are known as seen from it: the best single way through the
     /// graph to each, which overestimates what all ways together would give. Nodes beyond
-    /// `position_max` (m²) are `None`. Errors of the heading that repeat count as `graph.bias_rad_per_m` says.
-    pub fn uncertainty_from(&self, from: u32, position_max: f64) -> Vec<Option<RelativeUncertainty>> {
+    /// `position_variance_max_m2` (m²) are `None`. Errors of the heading that repeat count as `graph.bias_rad_per_m` says.
+    pub fn uncertainty_from(
+        &self,
+        from: u32,
+        position_variance_max_m2: f64,
+    ) -> Vec<Option<RelativeUncertainty>> {
         let mut known: Vec<Option<RelativeUncertainty>> = vec![None; self.poses.len()];
         let mut open = std::collections::BinaryHeap::new();
         known[from as usize] = Some(RelativeUncertainty::default());
@@ -260,7 +264,7 @@ impl Graph {
                 let there = here.beyond(edge, self.config.bias_rad_per_m);
                 let better =
                     known[next as usize].is_none_or(|k| there.position_variance_m2 < k.position_variance_m2);
-                if better && there.position_variance_m2 <= position_max {
+                if better && there.position_variance_m2 <= position_variance_max_m2 {
                     known[next as usize] = Some(there);
                     open.push((core::cmp::Reverse(there.position_variance_m2.to_bits()), next));
                 }
@@ -277,7 +281,7 @@ impl Graph {
     pub fn solve(&mut self, graduated: bool) -> Result<Summary, SolveError> {
         let kernel = Kernel::Cauchy { sigmas: self.config.cauchy_sigmas };
         let constraint = |edge: &Edge| posegraph::Edge { kernel, ..edge.constraint() };
-        let constraints: Vec<_> = self.edges.iter().filter(|edge| edge.in_force).map(constraint).collect();
+        let constraints: Vec<_> = self.edges.iter().filter(|edge| edge.is_active).map(constraint).collect();
         let options = SolverOptions {
             iterations_max: self.config.iterations_max,
             step_min: self.config.step_min,

@@ -5,7 +5,7 @@
 //!        │                                              ▲
 //!        ▼            Node ───────────────▶             │
 //!  FrontEnd (in bounded time)               BackEnd (links, closures, solver, map)
-//!        │            ◀─────────────── Revision
+//!        │            ◀─────────────── MapFrameUpdate
 //!        ▼
 //!   ScanResult: correction, covariance, state
 //! ```
@@ -53,11 +53,11 @@ pub use graph::{Edge, EdgeKind, Graph, RelativeUncertainty};
 pub use localizer::LocalizerCounts;
 pub use map_doubts::MapDoubts;
 pub use mapper::OccupancyMapper;
-pub use node::{FrameUncertainty, Node, Rays, Revision, SweptPath};
+pub use node::{FrameUncertainty, MapFrameUpdate, Node, Rays, SweptPath};
 pub use point_transform::PointTransform;
 pub use relocalize::{LocalFrameEstimate, RelocalizationCounts};
 pub use scan_buffers::NODES_IN_FLIGHT_MAX;
-pub use session::{Identity, Session, SessionError};
+pub use session::{Session, SessionError, SessionIdentity};
 pub use stages::{Stage, StageObserver};
 pub use submap::Submaps;
 
@@ -111,7 +111,7 @@ impl Slam {
     }
 
     /// A session to continue from later, after the waiting nodes were processed.
-    pub fn session(&mut self, identity: Identity) -> Session {
+    pub fn session(&mut self, identity: SessionIdentity) -> Session {
         self.work();
         self.back.session(identity, Some(self.front.state()), self.front.samples())
     }
@@ -140,8 +140,8 @@ impl Slam {
     pub fn work(&mut self) -> usize {
         let count = self.waiting.len();
         while let Some(node) = self.waiting.pop_front() {
-            let revision = self.back.add_node(node);
-            self.front.add_revision(revision);
+            let frame_update = self.back.add_node(node);
+            self.front.add_frame_update(frame_update);
         }
         count
     }
@@ -221,7 +221,7 @@ pub fn begin(
             let mut front = FrontEnd::resume(config.clone(), state, &session.back.nodes);
             let back = BackEnd::resume(config, session.back, session.samples, mode, start);
             // A session does not keep it; the pose of the front end's frame is the session's, to the last bit.
-            front.apply_quality(back.latest_revision());
+            front.apply_quality(back.latest_frame_update());
             (front, back)
         }
         (start, _) => {

@@ -140,7 +140,7 @@ impl Localizer {
             None => (Pose2::IDENTITY, map_from_local * node.local_from_base),
         };
         let (distance_m, turn_rad) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
-        let factor = if node.fits { 1.0 } else { UNMATCHED_STEP_FACTOR };
+        let factor = if node.is_tracked { 1.0 } else { UNMATCHED_STEP_FACTOR };
         let step = [
             factor * (STEP_M + STEP_M_PER_M * distance_m),
             factor * (STEP_RAD + STEP_RAD_PER_RAD * turn_rad),
@@ -148,7 +148,7 @@ impl Localizer {
         self.sigma =
             [self.sigma[0].hypot(step[0] + distance_m * self.sigma[1]), self.sigma[1].hypot(step[1])];
         self.unmatched_m += distance_m;
-        if !node.fits {
+        if !node.is_tracked {
             self.kidnap_check = KidnapCheck::Pending { matched: 0, unmatched: 0 };
         }
         let match_result = self.match_to_map(&node, predicted, map);
@@ -168,7 +168,7 @@ impl Localizer {
                 self.config.links.sigma_min_m.max(MATCHED_MIN_M),
                 self.config.links.sigma_min_rad.max(MATCHED_MIN_RAD),
             ];
-        } else if node.fits {
+        } else if node.is_tracked {
             self.counts.unmatched += 1;
         }
         if self.window.len() == WINDOW {
@@ -192,7 +192,7 @@ impl Localizer {
         map: MapNodes<'_>,
     ) -> Option<(Pose2, Matrix3<f64>)> {
         let l = &self.config.links;
-        if !node.fits || node.cloud.points().len() < self.config.tracking.points_min {
+        if !node.is_tracked || node.cloud.points().len() < self.config.tracking.points_min {
             return None;
         }
         let near = nearest(map, node, predicted, l.distance_max_m);
@@ -203,7 +203,7 @@ impl Localizer {
             near.iter().map(|&i| Reference { cloud: &map.nodes[i].cloud, frame_from_cloud: map.poses[i] });
         let prior =
             Prior { pose: predicted, information: information_from_sigmas(self.sigma[0], self.sigma[1]) };
-        let fit = align(&node.cloud, predicted, references, Some(prior), l);
+        let fit = align(&node.cloud, predicted, references, Some(prior), &self.config.alignment);
         let chain: Vec<(&Node, Pose2)> = near.iter().map(|&i| (&map.nodes[i], map.poses[i])).collect();
         let agreement = compare_passes(chain.iter(), &[(node, Pose2::IDENTITY)], fit.frame_from_cloud);
         // While a kidnapping is suspected, a match must pass the stricter limits of relocalization.

@@ -30,7 +30,7 @@ const STRETCH_SIGMA_M: f64 = 0.05;
 const STRETCH_SIGMA_M_PER_M: f64 = 0.03;
 /// A stretch from here on is evidence, standard deviations. Right maps of generated logs, slipping wheels included, have at
 /// most 4.1.
-const STRETCH_SIGMAS_MAX: f64 = 4.5;
+const RESIDUAL_SIGMAS_MAX: f64 = 4.5;
 /// A share of the nodes from here on that is not tied is evidence: what separates them may be in the map as well.
 const UNTIED_SHARE_MAX: f32 = 0.25;
 /// A node contradicts an older one by so many points of walls at least, 1 m of wall, and agrees with it by as many.
@@ -190,7 +190,7 @@ pub struct OdometryStep {
 
 /// Largest difference between map and odometry over consecutive steps, in standard deviations of odometry; `None` is a step
 /// that odometry did not measure.
-pub fn odometry_stretch(steps: &[Option<OdometryStep>]) -> f64 {
+pub fn odometry_residual_sigmas(steps: &[Option<OdometryStep>]) -> f64 {
     let stretch = |window: &[Option<OdometryStep>]| {
         let (mut error, mut length_m, mut variance) = ([0.0; 2], 0.0, STRETCH_SIGMA_M * STRETCH_SIGMA_M);
         for step in window {
@@ -211,7 +211,7 @@ pub struct MapDoubts {
     /// Largest share of compared points, over some metres of path, that belong to walls which another pass saw through, 0 to 1.
     pub contradicted_share: f32,
     /// Largest difference of the map from odometry over some metres of path, standard deviations of odometry.
-    pub odometry_stretch: f64,
+    pub odometry_residual_sigmas: f64,
     /// Time in which neither odometry nor scans measured the robot's motion, since its place was known last, seconds.
     pub unmeasured_motion_s: f32,
     /// Places that were refused because they are farther away than the robot can have gone.
@@ -235,7 +235,10 @@ impl MapDoubts {
     pub fn reasons(&self) -> impl Iterator<Item = &'static str> + use<> {
         let reasons = [
             (self.contradicted_share > CONTRADICTED_SHARE_MAX, "scans see through walls of the map"),
-            (self.odometry_stretch > STRETCH_SIGMAS_MAX, "the path is longer or shorter than odometry says"),
+            (
+                self.odometry_residual_sigmas > RESIDUAL_SIGMAS_MAX,
+                "the path is longer or shorter than odometry says",
+            ),
             (self.untied_share > UNTIED_SHARE_MAX, "a large part of the path has no known place in the map"),
             (self.refuted_closures > 0, "places that were recognised lie elsewhere in the map"),
         ];
@@ -281,12 +284,16 @@ mod tests {
         let step = |error_m: [f64; 2]| Some(OdometryStep { error_m, length_m: 0.3, sigma_m: 0.05 });
         let alternating = |k: usize| step([if k.is_multiple_of(2) { 0.05 } else { -0.05 }, 0.03]);
         let mut steps: Vec<_> = (0..100).map(alternating).collect();
-        assert!(odometry_stretch(&steps) < 2.0, "{}", odometry_stretch(&steps));
+        assert!(odometry_residual_sigmas(&steps) < 2.0, "{}", odometry_residual_sigmas(&steps));
         steps[50] = step([0.0, 2.0]);
-        assert!(odometry_stretch(&steps) > 2.0 * STRETCH_SIGMAS_MAX, "{}", odometry_stretch(&steps));
+        assert!(
+            odometry_residual_sigmas(&steps) > 2.0 * RESIDUAL_SIGMAS_MAX,
+            "{}",
+            odometry_residual_sigmas(&steps)
+        );
         // Where odometry measured nothing it says nothing.
         steps[50] = None;
-        assert!(odometry_stretch(&steps) < 2.0);
+        assert!(odometry_residual_sigmas(&steps) < 2.0);
     }
 
     #[test]
@@ -294,7 +301,7 @@ mod tests {
         assert!(!MapDoubts::default().is_unreliable());
         let doubts = [
             MapDoubts { contradicted_share: 0.5, ..MapDoubts::default() },
-            MapDoubts { odometry_stretch: 8.0, ..MapDoubts::default() },
+            MapDoubts { odometry_residual_sigmas: 8.0, ..MapDoubts::default() },
             MapDoubts { untied_share: 0.4, ..MapDoubts::default() },
             MapDoubts { refuted_closures: 2, ..MapDoubts::default() },
         ];

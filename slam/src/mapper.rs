@@ -15,7 +15,7 @@ mod tile_set;
 use crate::config::MapConfig;
 use crate::node::Node;
 use msg::tiles::ROBOT_TILES_MAX;
-use msg::{DenseMap, GridView, Header, MapHeader, Monotonic, Pose2, Rect, TileMap, pose::wrap_angle};
+use msg::{DenseMap, GridView, Header, IndexRect, MapHeader, Monotonic, Pose2, TileMap, pose::wrap_angle};
 use raster::{NodeCells, UpdateTables};
 use tile_set::TileSet;
 
@@ -50,7 +50,7 @@ struct DrawnNode {
     /// above high) if it has nothing to draw.
     bounds_m: [f32; 4],
     /// Tiles that contain all its cells; empty if it is not drawn.
-    tiles: Rect,
+    tiles: IndexRect,
 }
 
 /// A new version of some tiles, while it is drawn.
@@ -103,7 +103,7 @@ impl OccupancyMapper {
     }
 
     /// Sets the map's header and sending time to those of a scan, until the next node is drawn.
-    pub fn date(&mut self, header: Header, scan_sent: Monotonic) {
+    pub fn set_header(&mut self, header: Header, scan_sent: Monotonic) {
         (self.map.header.header, self.map.header.scan_sent) = (header, scan_sent);
     }
 
@@ -163,7 +163,7 @@ impl OccupancyMapper {
         self.map.header.header = node.header;
         self.map.header.scan_sent = node.header.sent;
         let bounds_m = if node.in_map() { bounds_m(node, &self.config) } else { EMPTY };
-        let mut drawn = DrawnNode { map_from_base, bounds_m, tiles: Rect::default() };
+        let mut drawn = DrawnNode { map_from_base, bounds_m, tiles: IndexRect::default() };
         let tiles = tiles_of(&drawn, self.config.resolution_m);
         if !tiles.is_empty() && !self.map.grow_to(tiles, ROBOT_TILES_MAX) {
             self.clipped += 1;
@@ -208,7 +208,7 @@ impl OccupancyMapper {
                 drawn.map_from_base = *pose;
             }
             let tiles = tiles_of(drawn, self.config.resolution_m);
-            drawn.tiles = if extent.grow_to(tiles, ROBOT_TILES_MAX) { tiles } else { Rect::default() };
+            drawn.tiles = if extent.grow_to(tiles, ROBOT_TILES_MAX) { tiles } else { IndexRect::default() };
         }
         let mut replaced = TileSet::empty_within([self.map.extent(), extent.extent()]);
         for (was, is) in self.drawn.iter().zip(&drawn).filter(|(was, is)| was != is) {
@@ -221,7 +221,7 @@ impl OccupancyMapper {
     /// Replaces the tiles of the shown map by the new version.
     fn show_redraw(&mut self) {
         let Some(Redraw { map: new, tiles, drawn, .. }) = self.redraw.take() else { return };
-        let extent = drawn.iter().fold(Rect::default(), |all, node| all.union(node.tiles));
+        let extent = drawn.iter().fold(IndexRect::default(), |all, node| all.union(node.tiles));
         let mut map = TileMap::new(self.map.header);
         if !map.grow_to(extent, ROBOT_TILES_MAX) {
             // A node added meanwhile lies too far from where the others are now: the next slice plans again.
@@ -260,9 +260,9 @@ fn swept_positions_m<'a>(node: &'a Node, config: &MapConfig) -> &'a [[f32; 2]] {
 }
 
 /// Tiles that contain all of a node's cells, with a margin for rounding.
-fn tiles_of(node: &DrawnNode, resolution_m: f64) -> Rect {
+fn tiles_of(node: &DrawnNode, resolution_m: f64) -> IndexRect {
     if node.bounds_m == EMPTY || !node.map_from_base.is_finite() {
-        return Rect::default();
+        return IndexRect::default();
     }
     let [x0, y0, x1, y1] = node.bounds_m.map(f64::from);
     let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(|p| node.map_from_base.apply(p));
@@ -276,7 +276,7 @@ fn tiles_of(node: &DrawnNode, resolution_m: f64) -> Rect {
     let margin_m = resolution_m + far * ROUNDING;
     let cell = |metres: f64| (metres / resolution_m).floor().clamp(-CELL_MAX, CELL_MAX) as i64;
     let (low, high) = (low.map(|v| cell(v - margin_m)), high.map(|v| cell(v + margin_m)));
-    Rect { x0: low[0], y0: low[1], x1: high[0] + 1, y1: high[1] + 1 }.tiles()
+    IndexRect { x0: low[0], y0: low[1], x1: high[0] + 1, y1: high[1] + 1 }.tiles()
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Nodes, which the front end sends to the back end, and revisions, which the back end returns.
+//! Nodes, which the front end sends to the back end, and frame updates, which the back end returns.
 
 use crate::beam_poses::BeamPoses;
 use crate::cloud::Cloud;
@@ -20,8 +20,8 @@ pub struct Node {
     pub local_from_base: Pose2,
     /// Pose in the frame of the node before, by odometry; `None` if unknown.
     pub previous_from_this: Option<Pose2>,
-    /// Whether the scan fitted the local map; if not, only odometry ties it to the others.
-    pub fits: bool,
+    /// Whether the scan fitted the local map, or saw nothing that could fit; if not, only odometry ties it to the others.
+    pub is_tracked: bool,
     /// Whether it contradicts the nodes before: the robot is not where odometry has it, and nothing
     /// connects this node with the ones before until it is located.
     pub odometry_break: bool,
@@ -128,7 +128,7 @@ pub struct FrameUncertainty {
 
 /// The back end's result after a node, for the front end.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Revision {
+pub struct MapFrameUpdate {
     /// The node that caused it.
     pub cause: u32,
     /// It takes effect with the scan that makes this node, or the first one after it.
@@ -167,7 +167,7 @@ pub struct Rays {
 impl Node {
     /// Whether the node is part of the map: drawn, matched against, given out.
     pub fn in_map(&self) -> bool {
-        self.fits && self.is_tied()
+        self.is_tracked && self.is_tied()
     }
 
     /// Whether the node's place in the map is known.
@@ -182,7 +182,7 @@ impl Node {
     }
 
     /// A copy with memory of its own, for code that keeps nodes; it releases the front end's buffers.
-    pub fn kept(self) -> Self {
+    pub fn into_owned(self) -> Self {
         let (cloud, rays) = (Arc::new(Cloud::clone(&self.cloud)), Arc::new(Rays::clone(&self.rays)));
         Self { cloud, rays, ..self }
     }

@@ -55,7 +55,7 @@ pub struct RelocalizationCounts {
     /// Searches of the map, whatever their result.
     pub searches: u64,
     /// Searches in which no pose reached the least score.
-    pub no_response: u64,
+    pub below_min_response: u64,
     /// Searches in which scans contradicted every pose with a sufficient score.
     pub contradicted: u64,
     /// Searches with more than one pose left, or stopped at a limit.
@@ -156,7 +156,7 @@ impl Relocalizer {
             .back()
             .map_or(Pose2::IDENTITY, |last| last.local_from_base.between(node.local_from_base));
         self.travelled += moved.x_m.hypot(moved.y_m) + moved.yaw_rad.abs();
-        if !node.fits {
+        if !node.is_tracked {
             // Odometry alone connects this node with those before: earlier results cannot confirm later ones.
             self.pending.clear();
         }
@@ -211,7 +211,7 @@ impl Relocalizer {
         });
         let (found, given_up) = self.whole_map.search(&points, bounds, &self.config.relocalize);
         if found.is_empty() {
-            self.counts.no_response += 1;
+            self.counts.below_min_response += 1;
             return None;
         }
         let mut remaining: Vec<Pose2> = Vec::new();
@@ -246,7 +246,7 @@ impl Relocalizer {
                 break;
             }
             query.push((node.clone(), pose));
-            if !node.fits {
+            if !node.is_tracked {
                 break;
             }
         }
@@ -270,7 +270,7 @@ impl Relocalizer {
         let references = near
             .iter()
             .map(|&(_, i)| Reference { cloud: &map.nodes[i].cloud, frame_from_cloud: map.poses[i] });
-        let fit = align(merged, at, references, None, &self.config.links);
+        let fit = align(merged, at, references, None, &self.config.alignment);
         if fit.frame_from_cloud.distance_m(at) > ALIGNMENT_SHIFT_MAX_M || fit.overlap < r.overlap_min {
             return None;
         }
@@ -291,7 +291,10 @@ impl Relocalizer {
         for (other, at) in self.pending.iter().rev() {
             let there = *other * newest;
             let turned = wrap_angle(there.yaw_rad - here.yaw_rad).abs();
-            if here.distance_m(there) < r.agree_m && turned < r.agree_rad && travelled - at >= r.apart_m {
+            if here.distance_m(there) < r.agree_m
+                && turned < r.agree_rad
+                && travelled - at >= r.confirmation_distance_m
+            {
                 agreeing += 1;
                 travelled = *at;
             }
@@ -300,7 +303,7 @@ impl Relocalizer {
             self.pending.pop_front();
         }
         self.pending.push_back((map_from_local, self.travelled));
-        self.initial_estimate.is_some() || agreeing >= r.witnesses
+        self.initial_estimate.is_some() || agreeing >= r.confirmations_min
     }
 }
 

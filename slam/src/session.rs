@@ -116,7 +116,7 @@ pub enum SessionError {
 
 /// Robot and run of a session. Another robot cannot continue it: its LiDAR is mounted differently.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Identity {
+pub struct SessionIdentity {
     /// The robot's number; 0 for a log's.
     pub robot: u32,
     /// The run it was taken in, to tell a worker's own session from an older one; 0: none.
@@ -127,7 +127,7 @@ pub struct Identity {
     pub range_use_max_m: f64,
 }
 
-impl Identity {
+impl SessionIdentity {
     /// The identity of this robot in this run.
     pub fn new(robot: u32, run: u64, config: &SlamConfig) -> Self {
         let lidar = &config.lidar;
@@ -161,7 +161,7 @@ impl Identity {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Session {
     /// Robot and run that it was made by.
-    pub identity: Identity,
+    pub identity: SessionIdentity,
     /// Mode of SLAM when the session was made.
     pub mode: SlamMode,
     /// State of the back end: nodes, pose graph, and progress of the work on them.
@@ -180,7 +180,7 @@ impl BackEnd {
     /// be kept.
     pub fn session(
         &self,
-        identity: Identity,
+        identity: SessionIdentity,
         front: Option<FrontEndState>,
         samples: &[TrajectorySample],
     ) -> Session {
@@ -211,7 +211,7 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError`] if the bytes are not a sound session, or another robot's.
-    pub fn decode(bytes: &[u8], identity: &Identity) -> Result<Self, SessionError> {
+    pub fn decode(bytes: &[u8], identity: &SessionIdentity) -> Result<Self, SessionError> {
         let session = Self::decode_any(bytes)?;
         identity.accept(&session.identity)?;
         Ok(session)

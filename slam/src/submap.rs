@@ -102,7 +102,7 @@ impl Submaps {
             self.path_m += step_m;
             let full = self.groups.last().is_none_or(|group| {
                 let full = group.nodes >= NODES_MAX || self.path_m > PATH_MAX_M;
-                full || node.odometry_break || (!node.fits && group.nodes >= NODES_MIN)
+                full || node.odometry_break || (!node.is_tracked && group.nodes >= NODES_MIN)
             });
             if full {
                 if let Some(group) = self.groups.last_mut() {
@@ -240,7 +240,7 @@ impl Submaps {
     fn condensed(&self, graph: &Graph) -> BTreeMap<(u32, u32), Matrix3<f64>> {
         let poses = graph.poses();
         let mut sums = BTreeMap::new();
-        for edge in graph.edges().iter().filter(|edge| edge.in_force) {
+        for edge in graph.edges().iter().filter(|edge| edge.is_active) {
             let (a, b, information) = if edge.a < edge.b {
                 (edge.a, edge.b, edge.information)
             } else {

@@ -17,7 +17,7 @@ pub fn standing_node(id: u32, scan: &Scan, local_from_base: Pose2, lidar: &Lidar
         header: Header::default(),
         local_from_base,
         previous_from_this: None,
-        fits: true,
+        is_tracked: true,
         odometry_break: false,
         disconnected_component: None,
         uncertain_piece: None,

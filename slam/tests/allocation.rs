@@ -27,7 +27,7 @@ fn allocations(walls: &[Wall], lidar: impl Fn(usize) -> Lidar, odometry: bool) -
             if odometry {
                 front.add_odometry(&robot.odometry());
             }
-            answers.try_iter().for_each(|revision| front.add_revision(revision));
+            answers.try_iter().for_each(|frame_update| front.add_frame_update(frame_update));
             let step = front.process(&scan);
             nodes += usize::from(steady && step.node.is_some());
             if let Some(node) = step.node {

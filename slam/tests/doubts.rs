@@ -4,7 +4,7 @@ mod common;
 
 use common::{FULL, Noise, Robot, Wall, cast, rectangle};
 use msg::{Pose2, SlamMode, TrackingState};
-use slam::session::{Identity, Session};
+use slam::session::{Session, SessionIdentity};
 use slam::{InitialPose, PlaceInMap, Slam, SlamConfig};
 
 /// A corridor of 28 m whose ends are out of sight for most of the way, and a room at either end.
@@ -64,13 +64,13 @@ fn a_corridor_without_odometry_is_in_the_map_only_where_its_place_is_known() {
     assert!(doubts.untied_share > 0.5 && doubts.is_unreliable(), "{doubts:?}");
     // A session keeps them: who loads it is told.
     let back = slam.back();
-    let identity = Identity::new(1, 0, back.config());
+    let identity = SessionIdentity::new(1, 0, back.config());
     let bytes = back.session(identity, None, &[]).encode();
     let session = Session::decode(&bytes, &identity).unwrap();
     let (_, loaded) =
         slam::begin(back.config().clone(), Some(session), SlamMode::Mapping, InitialPose::Unknown);
     assert_eq!(loaded.doubts(), doubts);
-    assert_eq!(loaded.disconnected_components(), back.disconnected_components());
+    assert_eq!(loaded.untied_piece_count(), back.untied_piece_count());
 }
 
 #[test]

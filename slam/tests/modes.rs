@@ -4,7 +4,7 @@ mod common;
 
 use common::{FULL, Noise, Robot, cast, laboratory};
 use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
-use slam::{BackEnd, FrontEnd, Identity, LocalFrameEstimate, Slam, SlamConfig};
+use slam::{BackEnd, FrontEnd, LocalFrameEstimate, SessionIdentity, Slam, SlamConfig};
 
 type Log = Vec<(Odometry, Box<Scan>, Pose2)>;
 
@@ -39,7 +39,7 @@ fn a_robot_keeps_its_place_when_the_mode_changes() {
     let world_from_map = first[0].2;
     let mut slam = Slam::new(SlamConfig::default());
     assert!(error_m(&mut slam, &first, world_from_map) < 0.1);
-    let identity = Identity::new(1, 7, &SlamConfig::default());
+    let identity = SessionIdentity::new(1, 7, &SlamConfig::default());
     let has_front = |slam: &mut Slam| slam.session(identity).front.is_some();
     assert!(has_front(&mut slam));
 
@@ -82,7 +82,7 @@ fn a_map_begins_where_it_is_told_to() {
         let step = front.process(scan);
         let at = world_from_map * step.correction.map_from_base;
         assert!(at.distance_m(*truth) < 0.1, "{at:?} instead of {truth:?}");
-        step.node.into_iter().for_each(|node| front.add_revision(back.add_node(node)));
+        step.node.into_iter().for_each(|node| front.add_frame_update(back.add_node(node)));
     }
     assert!(back.is_located() && back.nodes().len() > 10);
     assert_eq!(back.graph().poses()[0], told);

@@ -7,7 +7,7 @@ use common::ring_log;
 use proptest::prelude::*;
 use slam::session::log::{LogContents, LogPosition, LogRecord, LogRecordBuilder};
 use slam::session::{BYTES_MAX, VERSION};
-use slam::{Identity, InitialPose, LocalFrameEstimate, Session, SessionError, SlamConfig};
+use slam::{InitialPose, LocalFrameEstimate, Session, SessionError, SessionIdentity, SlamConfig};
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -20,7 +20,7 @@ const RECORD_HEAD: usize = 20;
 fn example() -> &'static (Vec<u8>, Vec<u8>) {
     static EXAMPLE: OnceLock<(Vec<u8>, Vec<u8>)> = OnceLock::new();
     EXAMPLE.get_or_init(|| {
-        let identity = Identity::new(1, 7, &SlamConfig::default());
+        let identity = SessionIdentity::new(1, 7, &SlamConfig::default());
         let (mut front, mut back) =
             slam::begin(SlamConfig::default(), None, Default::default(), InitialPose::Unknown);
         let mut newest = LogPosition::default();
@@ -36,7 +36,7 @@ fn example() -> &'static (Vec<u8>, Vec<u8>) {
                 let record = builder.encode(&identity, &mut newest, &front.state());
                 return (session.unwrap_or_default(), record);
             }
-            front.add_revision(back.add_node(node));
+            front.add_frame_update(back.add_node(node));
             session = Some(back.session(identity, Some(front.state()), front.samples()).encode());
         }
         unreachable!("the robot made {} nodes", back.nodes().len())
@@ -99,7 +99,7 @@ fn another_version_is_refused_with_what_to_do() {
 
 /// Content whose first list claims `length` elements: identity and mode, then the length of the list of nodes.
 fn claims_nodes(length: u64) -> Vec<u8> {
-    let identity = Identity::new(1, 7, &SlamConfig::default());
+    let identity = SessionIdentity::new(1, 7, &SlamConfig::default());
     postcard::to_allocvec(&(identity, msg::SlamMode::Mapping, length)).unwrap()
 }
 

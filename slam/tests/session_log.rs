@@ -5,7 +5,7 @@ mod common;
 use common::{Log, bits, ring_log};
 use msg::{Odometry, Pose2, Scan, SlamMode};
 use slam::session::log::{LogContents, LogPosition, LogRecordBuilder, continuation};
-use slam::{BackEnd, FrontEnd, Identity, InitialPose, Session, SlamConfig};
+use slam::{BackEnd, FrontEnd, InitialPose, Session, SessionIdentity, SlamConfig};
 
 /// Feeds a log, with each node recorded before the back end gets it; a record after each `per_record` scans.
 fn feed_logged(
@@ -19,7 +19,7 @@ fn feed_logged(
         front.add_odometry(odometry);
         if let Some(node) = front.process(scan).node {
             builder.add(&node, None);
-            front.add_revision(back.add_node(node));
+            front.add_frame_update(back.add_node(node));
         }
         let is_last = k + 1 == log.len();
         if (is_last || k % per_record == per_record - 1) && !builder.is_empty() {
@@ -34,8 +34,8 @@ fn state_bits(front: &FrontEnd, back: &BackEnd) -> Vec<[u64; 3]> {
     bits(back.graph().poses().iter().copied().chain([front.local_from_base()]))
 }
 
-fn identity() -> Identity {
-    Identity::new(1, 7, &SlamConfig::default())
+fn identity() -> SessionIdentity {
+    SessionIdentity::new(1, 7, &SlamConfig::default())
 }
 
 fn begun(session: Option<Session>) -> (FrontEnd, BackEnd) {

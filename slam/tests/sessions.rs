@@ -7,7 +7,7 @@ use common::{FULL, Lidar, Log, Noise, Robot, Wall, bits, cast, laboratory, recta
 use msg::grid::{Occupancy, occupancy};
 use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
 use slam::session::VERSION;
-use slam::{Identity, InitialPose, LocalFrameEstimate, Session, SessionError, Slam, SlamConfig};
+use slam::{InitialPose, LocalFrameEstimate, Session, SessionError, SessionIdentity, Slam, SlamConfig};
 
 /// Drives (linear m/s, angular rad/s, seconds) legs at 10 scans a second.
 fn log(walls: &[Wall], lidar: &Lidar, robot: &mut Robot, legs: &[(f64, f64, f64)], seed: u64) -> Log {
@@ -45,8 +45,8 @@ fn round() -> Vec<(f64, f64, f64)> {
     vec![short, quarter, long, quarter, short, short, quarter, long, quarter, short]
 }
 
-fn identity() -> Identity {
-    Identity::new(1, 7, &SlamConfig::default())
+fn identity() -> SessionIdentity {
+    SessionIdentity::new(1, 7, &SlamConfig::default())
 }
 
 /// The laboratory, mapped, and where its map lies in the world.
@@ -117,14 +117,20 @@ fn what_is_not_a_session_is_refused_with_the_reason() {
     assert!(matches!(refused(&[&bytes[..], b"x"].concat()), SessionError::Length { .. }));
 
     let mut config = SlamConfig::default();
-    let said = Session::decode(&bytes, &Identity::new(2, 7, &config)).unwrap_err().to_string();
+    let said = Session::decode(&bytes, &SessionIdentity::new(2, 7, &config)).unwrap_err().to_string();
     assert_eq!(said, "is another robot's: the robot's number is 1, here 2");
     config.lidar.base_from_scan[0] += 1e-12;
-    assert!(Session::decode(&bytes, &Identity::new(1, 0, &config)).is_ok(), "rounding makes no other robot");
+    assert!(
+        Session::decode(&bytes, &SessionIdentity::new(1, 0, &config)).is_ok(),
+        "rounding makes no other robot"
+    );
     config.lidar.base_from_scan[0] = 0.2;
-    let said = Session::decode(&bytes, &Identity::new(1, 7, &config)).unwrap_err().to_string();
+    let said = Session::decode(&bytes, &SessionIdentity::new(1, 7, &config)).unwrap_err().to_string();
     assert!(said.contains("LiDAR's place"), "{said}");
-    assert!(Session::decode(&bytes, &Identity::new(1, 8, &SlamConfig::default())).is_ok(), "another run may");
+    assert!(
+        Session::decode(&bytes, &SessionIdentity::new(1, 8, &SlamConfig::default())).is_ok(),
+        "another run may"
+    );
 }
 
 /// The robot is put down somewhere in the laboratory and drives on.
@@ -325,7 +331,7 @@ fn a_closure_can_be_looked_at_undone_and_stays_undone() {
     let mut slam = Slam::new(SlamConfig::default());
     feed(&mut slam, &ring_log());
     slam.finish();
-    let closures: Vec<_> = slam.back().closures().filter(|c| c.in_force).collect();
+    let closures: Vec<_> = slam.back().closures().filter(|c| c.is_active).collect();
     assert!(!closures.is_empty());
     for closure in &closures {
         assert!(closure.response > 0.5 && closure.chi_squared < 40.0, "{closure:?}");
@@ -336,11 +342,11 @@ fn a_closure_can_be_looked_at_undone_and_stays_undone() {
     assert!(!slam.back_mut().undo_closure(number), "it is undone already");
     assert!(!slam.back_mut().undo_closure(1000));
     assert!(slam.back_counts().closures < closed.closures);
-    assert!(slam.back().closures().any(|c| c.number == number && !c.in_force));
+    assert!(slam.back().closures().any(|c| c.number == number && !c.is_active));
     slam.back_mut().clear_closures();
     assert_eq!(slam.back_counts().closures, 0);
     // What passes shared through the closures is gone with them.
-    let apart = |e: &&slam::Edge| e.in_force && e.kind == slam::EdgeKind::Link && e.a.abs_diff(e.b) > 60;
+    let apart = |e: &&slam::Edge| e.is_active && e.kind == slam::EdgeKind::Link && e.a.abs_diff(e.b) > 60;
     assert_eq!(slam.back().graph().edges().iter().filter(apart).count(), 0);
     slam.finish();
     assert_eq!(slam.back_counts().closures, 0, "an undone closure was accepted again");

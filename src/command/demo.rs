@@ -114,7 +114,7 @@ impl OperatorProcess {
 
     fn record_death(&mut self, tell: &mut dyn FnMut(String)) {
         self.deaths += 1;
-        if self.policy.on_death(now()) == State::Held {
+        if self.policy.on_death(now()) == State::GivenUp {
             tell(format!("the operator died {DEATHS_MAX} times in a row and is not started again"));
         }
     }

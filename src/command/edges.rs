@@ -6,7 +6,7 @@ use crate::channel::{self, Opener, Program};
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, let_readers_look, wait};
-use msg::{EdgeAction, EdgeCommand, MergeEdges, Monotonic, ROBOTS_MAX, RobotId, Sender};
+use msg::{CommandSource, EdgeAction, EdgeCommand, MergeEdges, Monotonic, ROBOTS_MAX, RobotId};
 use reports::{EdgeView, edge_table};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -162,7 +162,7 @@ fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, Edges
     let Some(command) = command else { return Ok(before) };
     // The writer lives until all have looked, because a message of a closed writer may never be read.
     let mut writer = node.writer(&channel::edge_command())?;
-    writer.send(&EdgeCommand { sender: Sender::LAPTOP, ..command });
+    writer.send(&EdgeCommand { sender: CommandSource::LAPTOP, ..command });
     let after = next(&|edges| edges.commands != before.commands);
     // A recorder may not have looked yet.
     let_readers_look();

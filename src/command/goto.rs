@@ -10,8 +10,8 @@ use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, Reader, Writer, let_readers_look, wait};
 use crate::stop::Stop;
 use msg::{
-    Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport,
-    NavigationStatus, RobotId, Sender,
+    CommandSource, Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose,
+    NavigationReport, NavigationStatus, RobotId,
 };
 use serde::Serialize;
 use std::path::PathBuf;
@@ -173,7 +173,7 @@ fn exchange(
             NavigationCommand::goal(number, (frame, args.own_map.then_some(args.robot)), &[pose])
         }
     };
-    commands.send(&NavigationCommand { sender: Sender::LAPTOP, ..command });
+    commands.send(&NavigationCommand { sender: CommandSource::LAPTOP, ..command });
     let (begun, mut shown, mut has_answer) = (Instant::now(), String::new(), false);
     loop {
         // A navigator that starts again needs the command once more.
@@ -210,7 +210,7 @@ fn exchange(
 /// Cancels the goal after Ctrl-C; returns what became of it.
 fn cancel(states: &mut Reader<NavigationReport>, commands: &mut Writer<NavigationCommand>) -> &'static str {
     let command = NavigationCommand::new(crate::clock::now().0, NavigationAction::Cancel);
-    commands.send(&NavigationCommand { sender: Sender::LAPTOP, ..command });
+    commands.send(&NavigationCommand { sender: CommandSource::LAPTOP, ..command });
     let is_over =
         |report: &NavigationReport| report.status().is_final() || report.status() == NavigationStatus::Idle;
     match confirmation(commands, states, CANCEL_PATIENCE, is_over) {

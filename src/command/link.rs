@@ -314,7 +314,7 @@ impl LinkProcess {
     }
 
     fn record_death(&mut self, tell: &mut dyn FnMut(String)) {
-        if self.policy.on_death(now()) == State::Held {
+        if self.policy.on_death(now()) == State::GivenUp {
             tell(format!("the link died {DEATHS_MAX} times in a row and is not started again"));
         }
     }

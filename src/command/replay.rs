@@ -29,7 +29,8 @@ use merge::MergeConfig;
 use msg::{Odometry, Pose2, Scan, Stamp};
 use records::{BagArgs, Log, is_recording};
 use slam::{
-    BackEnd, FrontEnd, Identity, InitialPose, LocalFrameEstimate, Node, PlaceInMap, Revision, SlamConfig,
+    BackEnd, FrontEnd, InitialPose, LocalFrameEstimate, MapFrameUpdate, Node, PlaceInMap, SessionIdentity,
+    SlamConfig,
 };
 use std::path::PathBuf;
 use std::sync::mpsc;
@@ -158,7 +159,7 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
         written.map_err(|source| ReplayError::Write { path: path.clone(), source })?;
     }
     if let Some(path) = &args.save_session {
-        let identity = Identity::new(0, 0, back.config());
+        let identity = SessionIdentity::new(0, 0, back.config());
         session_file::write(path, &back.session(identity, Some(front.state()), front.samples()))?;
     }
     let drawing = Instant::now();
@@ -191,7 +192,7 @@ fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed
     config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
     let (mut front, mut back) = begin(args, config)?;
     let (to_back, nodes) = mpsc::sync_channel::<Node>(WAITING_MAX);
-    let (to_front, revisions) = mpsc::channel::<Revision>();
+    let (to_front, frame_updates) = mpsc::channel::<MapFrameUpdate>();
     let mut summary = Summary { log: args.logs[0].display().to_string(), ..Default::default() };
     let started = first.stamp;
     let mut ended = started;
@@ -205,13 +206,16 @@ fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed
         let mut next = Some(first);
         while let Some(line) = next {
             ended = line.stamp;
-            revisions.try_iter().for_each(|revision| front.add_revision(revision));
+            frame_updates.try_iter().for_each(|frame_update| front.add_frame_update(frame_update));
             if let Some(node) = feeder.scan(front, &line)
                 && to_back.send(node).is_ok()
                 && localizes
             {
                 // The poses that the scans get depend on the answers' order: wait for each.
-                revisions.recv().into_iter().for_each(|revision| front.add_revision(revision));
+                frame_updates
+                    .recv()
+                    .into_iter()
+                    .for_each(|frame_update| front.add_frame_update(frame_update));
             }
             let enough = args.scans.is_some_and(|scans| feeder.seq as usize >= scans);
             next = if enough { None } else { records.next_laser() };
@@ -224,7 +228,7 @@ fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed
     });
     (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.skipped());
     summary.count(&front, &back);
-    let Pose2 { x_m, y_m, yaw_rad } = back.latest_revision().map_from_local * front.local_from_base();
+    let Pose2 { x_m, y_m, yaw_rad } = back.latest_frame_update().map_from_local * front.local_from_base();
     summary.ends_at = [x_m, y_m, yaw_rad];
     Ok(Replayed { front, back, localized, summary, duration_s: ended - started })
 }
@@ -237,7 +241,7 @@ fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), R
     if session_file::is_map(path) && args.mode != Mode::Localization {
         return Err(ReplayError::MapOnly(path.clone()));
     }
-    let session = session_file::read_any(path, &Identity::new(0, 0, &config), &config)?;
+    let session = session_file::read_any(path, &SessionIdentity::new(0, 0, &config), &config)?;
     let [sigma_m, sigma_rad] = TOLD_SIGMA;
     let start = match args.at {
         Some(map_from_local) => InitialPose::Near(LocalFrameEstimate { map_from_local, sigma_m, sigma_rad }),
@@ -251,15 +255,15 @@ fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), R
 fn run_back_end(
     back: &mut BackEnd,
     nodes: mpsc::Receiver<Node>,
-    to_front: mpsc::Sender<Revision>,
+    to_front: mpsc::Sender<MapFrameUpdate>,
 ) -> Vec<Duration> {
     let mut times = Vec::new();
     for node in nodes {
         let start = Instant::now();
-        let revision = back.add_node(node);
+        let frame_update = back.add_node(node);
         times.push(start.elapsed());
         // The front end is gone if the log has ended.
-        let _ = to_front.send(revision);
+        let _ = to_front.send(frame_update);
     }
     let start = Instant::now();
     back.finish();

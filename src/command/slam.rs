@@ -11,8 +11,8 @@ use crate::process::pose;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, Participant, Reader, Writer, let_readers_look, wait};
 use msg::{
-    ClosureInfo, Monotonic, Pose2, RobotId, Sender, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
-    SlamResponse, StartPose, Text,
+    ClosureInfo, CommandSource, Monotonic, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest,
+    SlamRequestKind, SlamResponse, StartPose, Text,
 };
 use reports::SlamView;
 use std::path::{Path, PathBuf};
@@ -218,7 +218,7 @@ impl SlamClient {
 
     fn send(&mut self, request: &SlamRequest, patience: Duration) -> Option<SlamResponse> {
         self.asked += 1;
-        let sender = Sender::LAPTOP;
+        let sender = CommandSource::LAPTOP;
         self.requests.send(&SlamRequest { client: self.client, id: self.asked, sender, ..*request });
         let until = Monotonic(now().0 + patience.as_nanos() as u64);
         while now() < until {

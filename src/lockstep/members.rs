@@ -12,9 +12,9 @@ use crate::process::file_thread::ImmediateJobs;
 use crate::process::graph_worker::GraphWorker;
 use crate::process::merge::{self, MergeProcess};
 use crate::process::nav::NavigationProcess;
-use crate::process::nav::memory::NavigationFile;
+use crate::process::nav::state_file::NavigationFile;
 use crate::process::sim::SimulatorProcess;
-use crate::process::slam::files::Job;
+use crate::process::slam::files::SessionFileJob;
 use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
 use crate::process::telemetry::TelemetryProcess;
 use crate::process::{Error, ProcessLoop};
@@ -90,7 +90,7 @@ pub struct SlamBody {
     /// Scan path, back-end thread and file thread, called in turn.
     pub process: SlamProcess<MemoryPorts, MemoryStorage>,
     input: Option<BackEndInput>,
-    job: Option<Job>,
+    job: Option<SessionFileJob>,
     /// An outcome that the back end has no room for.
     outcome: Option<BackEndInput>,
 }
@@ -144,7 +144,7 @@ impl Member {
     pub fn start_due(&self) -> Option<Monotonic> {
         match self.policy.state() {
             State::Waiting { until } => Some(until.max(self.back_at)),
-            State::Running { .. } | State::Held => None,
+            State::Running { .. } | State::GivenUp => None,
         }
     }
 

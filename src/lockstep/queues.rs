@@ -301,7 +301,7 @@ impl Ports for MemoryPorts {
     fn reader<T: Message>(&self, channel: &Channel<T>) -> Result<QueueReader<T>, ChannelError> {
         self.open(channel, Direction::Read)?;
         let queue = self.topic(channel).subscribe();
-        Ok(QueueReader { clock: self.clock(), queue, gaps: ReceiveCounts::default() })
+        Ok(QueueReader { clock: self.clock(), queue, receive_counts: ReceiveCounts::default() })
     }
 
     fn listener<T: Message>(&self, channel: &Channel<T>) -> Result<Rc<Cell<bool>>, ChannelError> {
@@ -331,7 +331,7 @@ impl Ports for MemoryPorts {
             queue: topic.subscribe(),
             topic,
             asked: None,
-            gaps: ReceiveCounts::default(),
+            receive_counts: ReceiveCounts::default(),
             receiver: PatchReceiver::default(),
         })
     }
@@ -381,7 +381,7 @@ impl<T: Message> WritePort<T> for QueueWriter<T> {
 pub struct QueueReader<T> {
     clock: VirtualClock,
     queue: Rc<Queue<T>>,
-    gaps: ReceiveCounts,
+    receive_counts: ReceiveCounts,
 }
 
 impl<T: Message> ReadPort<T> for QueueReader<T> {
@@ -389,11 +389,11 @@ impl<T: Message> ReadPort<T> for QueueReader<T> {
 
     fn receive(&mut self) -> Option<Rc<T>> {
         let message = self.queue.receive(self.clock.now())?;
-        self.gaps.count(message.header());
+        self.receive_counts.count(message.header());
         Some(message)
     }
 
-    fn gaps(&self) -> ReceiveCounts {
-        self.gaps
+    fn receive_counts(&self) -> ReceiveCounts {
+        self.receive_counts
     }
 }

@@ -120,7 +120,7 @@ impl<P: Ports, W: FileWorker> ProcessLoop for PeriodicTasks<P, W> {
             let counters = self.bridge.counters();
             let mut account = HealthCounters { clients: counters.clients, ..HealthCounters::default() };
             (account.dropped, account.refused) = (counters.dropped, counters.refused);
-            account.gaps.received = counters.received;
+            account.receive_counts.received = counters.received;
             account
         });
         self.bridge.next_tick(now).min(now.next_multiple(UPKEEP_PERIOD))

@@ -59,7 +59,7 @@ pub struct GraphWorkerParts<S> {
     /// The fleet's pose graph.
     pub graph: FleetPoseGraph,
     /// The file with the state of the graph.
-    pub memory: MergeStateFile<S>,
+    pub state_file: MergeStateFile<S>,
     /// The files with the robots' maps.
     pub files: MapFiles<S>,
     /// The newest estimates, for the thread that draws.
@@ -81,7 +81,7 @@ pub fn run(run: &Run, state: GraphWorkerParts<DiskStorage>, done: &AtomicBool) -
 /// The fleet's pose graph with its channels. A step receives all messages and does one job.
 pub struct GraphWorker<P: Ports, S> {
     graph: FleetPoseGraph,
-    memory: MergeStateFile<S>,
+    state_file: MergeStateFile<S>,
     files: MapFiles<S>,
     maps: Arc<MapSlot>,
     sources: Vec<Source<P>>,
@@ -94,7 +94,7 @@ pub struct GraphWorker<P: Ports, S> {
 impl<P: Ports, S: Storage> GraphWorker<P, S> {
     /// Opens the channels of a graph.
     pub fn open(ports: &P, run: &Run, state: GraphWorkerParts<S>) -> Result<Self, ChannelError> {
-        let GraphWorkerParts { graph, memory, files, estimates: slot, maps } = state;
+        let GraphWorkerParts { graph, state_file, files, estimates: slot, maps } = state;
         let mut listeners = vec![ports.listener(&channel::edge_command())?];
         for robot in run.robots() {
             listeners.push(ports.listener(&channel::submap_poses(robot))?);
@@ -103,7 +103,7 @@ impl<P: Ports, S: Storage> GraphWorker<P, S> {
         let sources = run.robots().map(|robot| Source::open(ports, robot));
         Ok(Self {
             graph,
-            memory,
+            state_file,
             files,
             maps,
             sources: sources.collect::<Result<_, _>>()?,
@@ -138,10 +138,10 @@ impl<P: Ports, S: Storage> ProcessLoop for GraphWorker<P, S> {
                     "merge: the joint pose graph was not solved: {why}; robots' maps stay where they are"
                 );
             }
-            self.graph.apply_outcome(outcome);
+            self.graph.apply_result(outcome);
         }
         // Saved before it is published, so that a pin that a client has seen outlives this process.
-        self.memory.save(&self.graph, now);
+        self.state_file.save(&self.graph, now);
         self.files.save(&self.maps, now);
         self.output.publish(&self.graph, self.sources.len(), now);
         if worked { now } else { Monotonic(now.0 + POLL_NS) }
@@ -186,7 +186,7 @@ impl<P: Ports> Source<P> {
         while let Some(submap) = self.submaps.receive() {
             let _ = graph.add_submap(self.robot, &submap);
         }
-        let lost = self.submaps.gaps().lost;
+        let lost = self.submaps.receive_counts().lost;
         if graph.missing_submaps(self.robot) == 0 && lost == self.lost {
             self.missing_since = None;
             return;

@@ -27,7 +27,7 @@ pub struct Heartbeat<P: Ports> {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct HealthCounters {
     /// Messages received and missed on its main input.
-    pub gaps: ReceiveCounts,
+    pub receive_counts: ReceiveCounts,
     /// Clients that are connected now (bridge only).
     pub clients: u32,
     /// Messages dropped for slow readers.
@@ -78,7 +78,7 @@ impl<P: Ports> Heartbeat<P> {
             return;
         }
         self.due = Monotonic((self.due.0 + PERIOD_NS).max(at.0));
-        let HealthCounters { gaps, clients, dropped, refused } = counters();
+        let HealthCounters { receive_counts, clients, dropped, refused } = counters();
         let (work_p50_us, work_max_us) = median_and_max(&mut self.work_us);
         let (late_p50_us, late_max_us) = median_and_max(&mut self.late_us);
         let (role, robot, epoch) = (self.role as u32, self.robot, self.epoch);
@@ -89,8 +89,8 @@ impl<P: Ports> Heartbeat<P> {
             health.robot = robot.map_or(0, |robot| robot.number() as u32);
             health.pid = usage.pid;
             health.clients = clients;
-            health.received = gaps.received;
-            health.lost = gaps.lost;
+            health.received = receive_counts.received;
+            health.lost = receive_counts.lost;
             health.dropped = dropped;
             health.refused = refused;
             health.work_p50_us = work_p50_us;

@@ -46,10 +46,13 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(GraphWorkerParts<S>, RestoredMaps), Error> {
     let starts = fleet::known_starts(&run.config)?;
     let mut graph = FleetPoseGraph::new(&run.config.merge, &starts);
-    let memory = MergeStateFile::restore(run, storage.clone(), &mut graph);
+    let state_file = MergeStateFile::restore(run, storage.clone(), &mut graph);
     let files = MapFiles::new(run, storage);
     let restored = files.restore(run.robots());
-    Ok((GraphWorkerParts { graph, memory, files, estimates: Arc::default(), maps: Arc::default() }, restored))
+    Ok((
+        GraphWorkerParts { graph, state_file, files, estimates: Arc::default(), maps: Arc::default() },
+        restored,
+    ))
 }
 
 /// Longest time for which a restarted process sends no map. SLAM sends its whole map within 0.2 s of the request; one that
@@ -199,9 +202,9 @@ impl<P: Ports> MergeProcess<P> {
             }
         }
         for (robot, reader) in &mut self.inputs.corrections {
-            let received = reader.gaps().received;
+            let received = reader.receive_counts().received;
             changed |= set_footprint::<P>(&mut self.merger, *robot, reader, self.robot_radius_m);
-            if reader.gaps().received != received {
+            if reader.receive_counts().received != received {
                 self.inputs.correction_received[robot.index()] = self.clock.now();
             }
         }
@@ -249,10 +252,10 @@ impl<P: Ports> MergeProcess<P> {
         self.merged.send(self.merger.merged_tiles())
     }
 
-    fn gaps(&self) -> ReceiveCounts {
+    fn receive_counts(&self) -> ReceiveCounts {
         self.inputs.maps.iter().fold(ReceiveCounts::default(), |mut sum, (_, reader)| {
-            sum.received += reader.gaps().received;
-            sum.lost += reader.gaps().lost;
+            sum.received += reader.receive_counts().received;
+            sum.lost += reader.receive_counts().lost;
             sum
         })
     }
@@ -272,8 +275,11 @@ impl<P: Ports> ProcessLoop for MergeProcess<P> {
         };
         self.publish_ages(now);
         self.transforms.refresh();
-        let counters =
-            HealthCounters { gaps: self.gaps(), refused: self.refused, ..HealthCounters::default() };
+        let counters = HealthCounters {
+            receive_counts: self.receive_counts(),
+            refused: self.refused,
+            ..HealthCounters::default()
+        };
         self.heartbeat.publish_if_due(|| counters);
         due.min(self.ages.due).min(self.heartbeat.due())
     }

@@ -5,8 +5,8 @@
 
 mod exploration;
 mod inputs;
-pub mod memory;
 mod outputs;
+pub mod state_file;
 mod zones;
 
 use super::file_thread::{JobThread, JobWorker};
@@ -24,12 +24,12 @@ use crate::storage::{DiskStorage, Storage};
 use ::nav::{FleetNavigator, GoalFrame, GoalPose, NavigationGoal, NavigationState, NavigatorConfig};
 use exploration::Exploration;
 use inputs::Inputs;
-use memory::{NavigationFile, SavedGoal, SavedState, StateWriter};
 use msg::{
     Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, Pose2, RobotId, Role,
     ScanPurpose,
 };
 use outputs::{Decision, RobotOutputs};
+use state_file::{NavigationFile, SavedGoal, SavedState, StateWriter};
 use std::time::Duration;
 use zones::Zones;
 
@@ -202,7 +202,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
                 // What has arrived while nobody had a goal is old.
                 self.inputs.receive(now);
                 let goal = self.inputs.goal(robot, command);
-                self.exploration.take(robot, true);
+                self.exploration.set_manual(robot, true);
                 let desk = &mut self.robots[index];
                 (desk.goal, desk.refusal) = (command.number, goal.as_ref().err().copied());
                 match goal {
@@ -214,15 +214,15 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
                 }
             }
             Some(NavigationAction::Cancel) => {
-                self.exploration.take(robot, true);
+                self.exploration.set_manual(robot, true);
                 self.navigator.cancel(robot);
             }
             Some(NavigationAction::Pause) => {
-                self.exploration.take(robot, false);
+                self.exploration.set_manual(robot, false);
                 self.navigator.pause(robot);
             }
             Some(NavigationAction::Resume) => {
-                self.exploration.give_back(&self.navigator, robot);
+                self.exploration.release_manual(&self.navigator, robot);
                 self.navigator.resume(stamp, robot);
             }
             None => self.refused += 1,

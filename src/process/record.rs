@@ -20,7 +20,7 @@ use crate::realtime::lower_priority;
 use crate::recording_files::RecordingFiles;
 use crate::run::Run;
 use crate::shared_memory::{Listener, wait};
-use crate::spare_time::{SpareTime, WaitingLimits, Work};
+use crate::spare_time::{JobExecutor, SpareTime, WaitingLimits};
 use crate::stop::Stop;
 use ::recording::TopicCount;
 use inputs::Inputs;
@@ -145,8 +145,8 @@ pub fn record<P: Ports<Listener = Listener>>(
     Ok(recording.finish())
 }
 
-fn encode_later(recorder: Recorder) -> io::Result<Work<Recorder>> {
-    Ok(Work::Later(SpareTime::start(recorder, WAITING)?))
+fn encode_later(recorder: Recorder) -> io::Result<JobExecutor<Recorder>> {
+    Ok(JobExecutor::Later(SpareTime::start(recorder, WAITING)?))
 }
 
 /// The process: a recording and its health report.
@@ -162,7 +162,8 @@ impl<P: Ports> ProcessLoop for RecorderProcess<P> {
         heartbeat.publish_if_due(|| {
             let counts = &recording.to.counts;
             let mut counters = HealthCounters { dropped: counts.dropped(), ..Default::default() };
-            (counters.gaps.received, counters.gaps.lost) = (counts.messages(), recording.inputs.lost());
+            (counters.receive_counts.received, counters.receive_counts.lost) =
+                (counts.messages(), recording.inputs.lost());
             counters
         });
         due.min(heartbeat.due())
@@ -220,7 +221,7 @@ impl<P: Ports> Recording<P> {
         ports: &P,
         run: &Run,
         files: RecordingFiles,
-        work: impl FnOnce(Recorder) -> io::Result<Work<Recorder>>,
+        work: impl FnOnce(Recorder) -> io::Result<JobExecutor<Recorder>>,
         operator: Option<OperatorWatch>,
     ) -> Result<Self, Error> {
         let clock = ports.clock();

@@ -102,7 +102,7 @@ impl<P: Ports> ProcessLoop for SimulatorProcess<P> {
             outputs.tick(simulator);
         });
         heartbeat.publish_if_due(|| HealthCounters {
-            gaps: inputs.commands.gaps(),
+            receive_counts: inputs.commands.receive_counts(),
             refused: simulator.refused() + inputs.outdated,
             ..HealthCounters::default()
         });

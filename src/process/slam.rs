@@ -2,9 +2,9 @@
 //! closes loops, solves, draws the map and answers requests ([`back_end`]); a third reads and writes files ([`files`]).
 //!
 //! ```text
-//!  scans ─▶ scan path ── FrontEvent: nodes, state ────▶ back end ── Job ────────▶ files
+//!  scans ─▶ scan path ── FrontEvent: nodes, state ────▶ back end ── SessionFileJob ────────▶ files
 //!               ▲                                        │    ▲                     │
-//!               └─ FrontCommand: revisions, pause, map ──┘    └──── JobOutcome ─────┘
+//!               └─ FrontCommand: frame updates, pause, map ──┘    └──── FileJobOutcome ─────┘
 //! ```
 
 mod autosave;
@@ -26,10 +26,11 @@ use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
 use crate::time_slice;
 use ::slam::{
-    BackEnd, FrontEnd, FrontEndState, InitialPose, NODES_IN_FLIGHT_MAX, Node, Revision, Session, SlamConfig,
+    BackEnd, FrontEnd, FrontEndState, InitialPose, MapFrameUpdate, NODES_IN_FLIGHT_MAX, Node, Session,
+    SlamConfig,
 };
 use back_end::BackEndWorker;
-use files::{Job, JobOutcome, SlamFileWorker};
+use files::{FileJobOutcome, SessionFileJob, SlamFileWorker};
 use front_end_loop::FrontEndLoop;
 use msg::{Header, Pose2, RobotId, Role, SlamMode};
 use session_log::LogEnd;
@@ -47,7 +48,7 @@ pub enum BackEndInput {
     /// An event of the front end with this number; the numbers count the front ends that were put in place.
     FrontEnd(u32, FrontEvent),
     /// A file was read or written.
-    File(Box<JobOutcome>),
+    File(Box<FileJobOutcome>),
 }
 
 /// Event from the scan path to the back end.
@@ -78,7 +79,7 @@ pub enum TrajectoryStart {
 /// Command from the back end to the front end.
 pub enum FrontCommand {
     /// Reports what a node changed in the map; it takes effect with the node that it names.
-    QueueRevision(Revision),
+    QueueFrameUpdate(MapFrameUpdate),
     /// Sets whether scans are ignored.
     Pause(bool),
     /// Requests the front end's state, which comes as [`FrontEvent::State`].
@@ -90,12 +91,12 @@ pub enum FrontCommand {
         /// The new front end.
         front: Box<FrontEnd>,
         /// Whether the robot's pose stays valid, because the frame of the map is the same.
-        in_place: bool,
+        keeps_pose: bool,
     },
     /// Sets the transform of the front end's frame in the map at once, not with the next node; `None`: unknown.
     SetMapFromLocal(Option<Pose2>),
     /// Applies the back end's newest state at once: its graph has changed without a node.
-    ApplyRevisionNow(Revision),
+    ApplyFrameUpdateNow(MapFrameUpdate),
     /// Makes a node of the next scan, because a request waits for one.
     RequestNode,
 }
@@ -111,7 +112,7 @@ pub struct SlamProcess<P: Ports, S> {
     /// Queue to the back end.
     pub inputs: Receiver<BackEndInput>,
     /// Queue to the file worker.
-    pub jobs: Receiver<Job>,
+    pub jobs: Receiver<SessionFileJob>,
 }
 
 impl<P: Ports, S: Storage> SlamProcess<P, S> {
@@ -128,7 +129,7 @@ impl<P: Ports, S: Storage> SlamProcess<P, S> {
         let Start { front, back, odom_pose } = begin(run, robot, at, &storage, &scan_ports.clock())?;
         let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
         let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
-        let (job_sender, jobs) = sync_channel::<Job>(files::JOBS_MAX);
+        let (job_sender, jobs) = sync_channel::<SessionFileJob>(files::JOBS_MAX);
         let outcomes = events.clone();
         let front_end_loop =
             FrontEndLoop::open(scan_ports, run, robot, (front, odom_pose), events, commands_in)?;
@@ -144,7 +145,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     let begun = begin(run, robot, at, &DiskStorage, &scan_ports.clock())?;
     let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
     let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
-    let (job_sender, jobs) = sync_channel::<Job>(files::JOBS_MAX);
+    let (job_sender, jobs) = sync_channel::<SessionFileJob>(files::JOBS_MAX);
     let mut files = SlamFileWorker::new(live_config(run), DiskStorage, scan_ports.clock(), events.clone());
     let Start { front, back, odom_pose } = begun;
     let mut front_end_loop =

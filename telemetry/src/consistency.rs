@@ -32,7 +32,7 @@ pub fn compare(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Grid
 
 /// Compares the same two maps under up to `count` random wrong transforms that leave at least half the overlap: what
 /// chance reaches. The list is shorter if twenty times as many tries do not find them.
-pub fn null(
+pub fn null_distribution(
     a: GridView<'_>,
     b: GridView<'_>,
     a_from_b: Pose2,
@@ -43,14 +43,15 @@ pub fn null(
     let Some(centre_m) = overlap_centre_m(a, b, a_from_b) else { return Vec::new() };
     let mut random = RandomNumbers::new(seed);
     let tries = 0..count.saturating_mul(NULL_TRIES);
-    let wrong =
-        tries.filter_map(|_| one_wrong(a, b, a_from_b, (centre_m, right.overlap_m2), random.next_u64()));
+    let wrong = tries.filter_map(|_| {
+        agreement_under_random_transform(a, b, a_from_b, (centre_m, right.overlap_m2), random.next_u64())
+    });
     wrong.take(count).collect()
 }
 
 /// Compares two maps under one random wrong transform; `None` if it does not leave half the overlap. The centre
 /// ([`overlap_centre_m`]) and the area of the right overlap are given.
-pub fn one_wrong(
+pub fn agreement_under_random_transform(
     a: GridView<'_>,
     b: GridView<'_>,
     a_from_b: Pose2,

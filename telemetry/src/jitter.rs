@@ -1,7 +1,7 @@
 //! TF jitter as the MR-SLAM paper defines it: |(receive - stamp) - its mean over the link|.
 
 use crate::Histogram;
-use msg::{Link, Monotonic, Transforms};
+use msg::{Monotonic, RobotFrame, Transforms};
 
 /// Transforms of a link that only count for its mean, before the first deviation is counted: one second at 20 Hz. Until
 /// then the mean is not reliable.
@@ -19,7 +19,7 @@ const LEFT_OUT: u64 = 20;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TransformJitter {
     run: u64,
-    links: [Mean; Link::ALL.len()],
+    links: [Mean; RobotFrame::ALL.len()],
     deviations: Histogram,
 }
 
@@ -55,7 +55,7 @@ impl TransformJitter {
             self.links = Default::default();
         }
         let age_ns = (received.0 as i64).wrapping_sub(transforms.header.stamp.0);
-        for link in transforms.links().iter().filter_map(|link| Link::from_code(link.child)) {
+        for link in transforms.links().iter().filter_map(|link| RobotFrame::from_code(link.child)) {
             let mean = &mut self.links[link as usize - 1];
             if mean.left_out < LEFT_OUT {
                 mean.left_out += 1;
@@ -82,7 +82,7 @@ mod tests {
     fn message(stamp_ns: i64, run: u64) -> Transforms {
         let mut message = Transforms { len: 2, ..Default::default() };
         message.header = Header { stamp: Stamp(stamp_ns), incarnation: run, ..Default::default() };
-        message.links[0] = LinkTransform { child: Link::BaseFootprint as u32, ..Default::default() };
+        message.links[0] = LinkTransform { child: RobotFrame::BaseFootprint as u32, ..Default::default() };
         message.links[1] = LinkTransform { child: 99, ..Default::default() };
         message
     }

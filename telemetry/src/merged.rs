@@ -1,7 +1,7 @@
 //! The merged map, and its comparison with the room where that is known (simulation only).
 
 use crate::robot::count_cells;
-use crate::truth::{MapErrors, ObservableArea};
+use crate::truth::{MapAccuracy, ObservableArea};
 use msg::{Grid, GridView, Pose2, RobotStats};
 
 /// Calls between two comparisons of the walls with the room's: at a call a second, every five seconds.
@@ -18,7 +18,7 @@ pub(crate) struct MergedMap {
     version: u64,
     /// Version, transform and result of the newest coverage.
     coverage: Option<(u64, Pose2, f64)>,
-    errors: Option<MapErrors>,
+    errors: Option<MapAccuracy>,
     /// Calls since `errors` was computed.
     errors_age: usize,
 }
@@ -43,10 +43,10 @@ impl MergedMap {
 
     /// Errors of the map's walls against the room, computed now and then. NaN where the room or the transform is
     /// unknown.
-    pub fn errors(&mut self, room: Option<&ObservableArea>, world_from_map: Option<Pose2>) -> MapErrors {
+    pub fn errors(&mut self, room: Option<&ObservableArea>, world_from_map: Option<Pose2>) -> MapAccuracy {
         let (Some(room), Some(world_from_map)) = (room, world_from_map) else {
             self.errors = None;
-            return MapErrors::UNKNOWN;
+            return MapAccuracy::UNKNOWN;
         };
         self.errors_age += 1;
         let due = CALLS_BETWEEN_COMPARISONS + self.grid.cells.len() / CELLS_PER_EXTRA_CALL;
@@ -54,7 +54,7 @@ impl MergedMap {
             self.errors = Some(room.compare(self.grid.view(), world_from_map));
             self.errors_age = 0;
         }
-        self.errors.unwrap_or(MapErrors::UNKNOWN)
+        self.errors.unwrap_or(MapAccuracy::UNKNOWN)
     }
 
     /// Share of the room's observable cells that the map knows, computed when the map or the transform changes. NaN where

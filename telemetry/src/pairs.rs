@@ -1,6 +1,6 @@
 //! Agreement of every pair of the robots' maps, a bounded amount of work at a time.
 
-use crate::consistency::{compare, one_wrong, overlap_centre_m};
+use crate::consistency::{agreement_under_random_transform, compare, overlap_centre_m};
 use msg::grid_agreement::GridAgreement;
 use msg::{Grid, Pose2, ROBOTS_MAX};
 
@@ -80,7 +80,9 @@ impl PairComparisons {
         while cells < NULL_CELLS_PER_CALL {
             self.draws += 1;
             cells += 1 + a.cells.len() + b.cells.len();
-            if let Some(wrong) = one_wrong(a, b, a_from_b, (centre_m, right.overlap_m2), self.draws) {
+            if let Some(wrong) =
+                agreement_under_random_transform(a, b, a_from_b, (centre_m, right.overlap_m2), self.draws)
+            {
                 self.nulls[slot].write([wrong.agreement, wrong.occupied_f1]);
                 return;
             }

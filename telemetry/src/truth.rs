@@ -56,7 +56,7 @@ impl ObservableArea {
 
     /// Share of the observable cells that a map knows, 0 to 1; NaN if nothing is observable.
     ///
-    /// A wall's cell is known, too, if a cell beside it is a wall in the map, as in [`MapErrors::occupied_f1`]. The
+    /// A wall's cell is known, too, if a cell beside it is a wall in the map, as in [`MapAccuracy::occupied_f1`]. The
     /// cells of plan and map do not coincide: a map that draws a surface one cell nearer can never know what is behind.
     pub fn coverage(&self, map: GridView<'_>, world_from_map: Pose2) -> f64 {
         let map_from_world = world_from_map.inverse();
@@ -75,7 +75,7 @@ impl ObservableArea {
     }
 
     /// Compares the map's walls with the room's.
-    pub fn compare(&self, map: GridView<'_>, world_from_map: Pose2) -> MapErrors {
+    pub fn compare(&self, map: GridView<'_>, world_from_map: Pose2) -> MapAccuracy {
         let walls_map: Vec<bool> =
             map.cells.iter().map(|cell| occupancy(*cell) == Occupancy::Occupied).collect();
         let visible = Grid {
@@ -92,7 +92,7 @@ impl ObservableArea {
         let to_walls_map = squared_distances(&walls_map, map.header.width as usize);
         let of_room = wall_distances(visible.view(), map, &to_walls_map, world_from_map.inverse());
         let sum = of_map.found_share + of_room.found_share;
-        MapErrors {
+        MapAccuracy {
             occupied_f1: if sum > 0.0 { 2.0 * of_map.found_share * of_room.found_share / sum } else { 0.0 },
             map_to_room_m: of_map.mean_m,
             room_to_map_m: of_room.mean_m,
@@ -104,7 +104,7 @@ impl ObservableArea {
 
 /// Errors of a map's walls against the room's.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct MapErrors {
+pub struct MapAccuracy {
     /// F1 of occupied cells at a tolerance of one cell (and its diagonal), 0 to 1.
     pub occupied_f1: f64,
     /// Mean distance from the map's occupied cells to the room's nearest visible wall, metres,
@@ -119,7 +119,7 @@ pub struct MapErrors {
     pub wall_thickness_m: f64,
 }
 
-impl MapErrors {
+impl MapAccuracy {
     /// No errors are known: all figures are NaN.
     pub(crate) const UNKNOWN: Self = Self {
         occupied_f1: f64::NAN,

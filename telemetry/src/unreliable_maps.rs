@@ -23,7 +23,7 @@ impl UnreliableMaps {
     pub fn record(&mut self, robot: RobotId, correction: &Correction) {
         let is_unreliable = &mut self.robots[robot.index()];
         match correction.state() {
-            TrackingState::Unreliable => *is_unreliable = true,
+            TrackingState::MapUnreliable => *is_unreliable = true,
             TrackingState::Tracking | TrackingState::Degenerate => *is_unreliable = false,
             TrackingState::Starting | TrackingState::Lost => {}
         }
@@ -76,7 +76,7 @@ mod tests {
     fn a_map_stays_unreliable_while_its_robot_is_lost_and_the_merged_map_is_if_it_holds_it() {
         let [first, second] = [1, 2].map(|number| RobotId::new(number).unwrap());
         let mut maps = UnreliableMaps::default();
-        maps.record(second, &correction(TrackingState::Unreliable));
+        maps.record(second, &correction(TrackingState::MapUnreliable));
         maps.record(second, &correction(TrackingState::Lost));
         assert!(maps.reasons_of_robot(first).is_empty());
         assert_eq!(maps.reasons_of_robot(second).len(), 1);

@@ -86,7 +86,8 @@ impl Headset {
                 let mut scan = self.scan.clone();
                 self.robots[index].1.scan_into(&mut scan);
                 scan.header.stamp = stamp;
-                let (topic, frame) = (format!("/{robot}/scan"), names.link(robot, msg::Link::BaseScan));
+                let (topic, frame) =
+                    (format!("/{robot}/scan"), names.robot_frame(robot, msg::RobotFrame::BaseScan));
                 self.frame(&topic, |to| write::laser_scan(to, frame, &scan));
             }
         }

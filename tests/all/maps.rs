@@ -9,7 +9,7 @@ use mr_slam::ports::{ReadMapPort, WriteMapPort};
 use mr_slam::shared_memory::{Domain, MapReader, MapWriter, Participant};
 use msg::grid::occupancy;
 use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
-use msg::{GridHeader, GridView, MapHeader, Monotonic, Rect, Role, Stamp, TileMap};
+use msg::{GridHeader, GridView, IndexRect, MapHeader, Monotonic, Role, Stamp, TileMap};
 use std::time::Instant;
 
 /// Shared memory of one test, removed at its end.
@@ -45,7 +45,7 @@ impl Drop for Memory {
 /// Creates a map with one known cell in each tile.
 fn map(columns: i64, rows: i64) -> TileMap {
     let mut map = TileMap::new(MapHeader { resolution_m: 0.05, ..Default::default() });
-    assert!(map.grow_to(Rect { x0: 0, y0: 0, x1: columns, y1: rows }, MAP_TILES_MAX));
+    assert!(map.grow_to(IndexRect { x0: 0, y0: 0, x1: columns, y1: rows }, MAP_TILES_MAX));
     (0..columns * rows).for_each(|i| draw(&mut map, i % columns, i / columns, i as usize));
     map
 }
@@ -89,7 +89,7 @@ fn only_changed_tiles_are_sent() {
     assert!(writer.bytes() - whole < 2 * TILE_CELLS as u64);
     assert_eq!(reader.map().changed_since(&before).collect::<Vec<_>>(), [(3, 4)]);
     assert!(writer.send(&map) && !reader.poll(), "nothing is new");
-    assert_eq!(reader.gaps().lost, 0);
+    assert_eq!(reader.receive_counts().lost, 0);
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn a_late_or_restarted_reader_gets_the_whole_map() {
         settle(&mut writer, &map, &mut [&mut early, &mut late]);
         assert_eq!(early.map().changed_since(&before).count(), 0, "who had it sees no change");
     }
-    assert_eq!((early.gaps().lost, early.gaps().restarts), (0, 0));
+    assert_eq!((early.receive_counts().lost, early.receive_counts().restarts), (0, 0));
 }
 
 #[test]
@@ -119,7 +119,7 @@ fn a_reader_that_lost_messages_catches_up() {
     }
     let kept = reader.map().clone();
     reader.poll();
-    assert!(reader.gaps().lost > 0);
+    assert!(reader.receive_counts().lost > 0);
     assert!(same(reader.map(), &kept), "nothing shows until the whole has come");
     settle(&mut writer, &map, &mut [&mut reader]);
 }
@@ -135,7 +135,7 @@ fn a_restarted_writer_replaces_its_map() {
     assert!(!reader.poll() && same(reader.map(), &old));
     let mut writer = memory.writer();
     settle(&mut writer, &new, &mut [&mut reader]);
-    assert_eq!(reader.gaps().restarts, 1);
+    assert_eq!(reader.receive_counts().restarts, 1);
     let mut late = memory.reader();
     settle(&mut writer, &new, &mut [&mut reader, &mut late]);
 }

@@ -203,8 +203,8 @@ fn localize_and_continue(folder: &Folder, sessions: &Path, mapped: u64) -> (Path
     });
     let closures = answer(&dir, "robot1", &["closures"]);
     let listed = closures["list"].as_array().unwrap();
-    let in_force = listed.iter().filter(|closure| closure["in_force"] == true).count() as u64;
-    assert_eq!(closures["closures"].as_u64().unwrap(), in_force, "{closures}");
+    let active = listed.iter().filter(|closure| closure["is_active"] == true).count() as u64;
+    assert_eq!(closures["closures"].as_u64().unwrap(), active, "{closures}");
     let cleared = answer(&dir, "robot1", &["clear"]);
     assert_eq!(cleared["closures"], 0, "{cleared}");
     // The session is saved under a name without an extension, and the map as a picture.

@@ -3,7 +3,7 @@
 use crate::harness::{Folder, mr_slam, output, output_of, send};
 use rustix::process::Signal;
 use serde_json::Value;
-use slam::{Identity, SlamConfig};
+use slam::{SessionIdentity, SlamConfig};
 use std::fmt::Write;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -106,9 +106,9 @@ fn a_saved_session_survives_kills_and_is_continued_in_every_mode() {
     let file = session.to_str().unwrap();
     let saved =
         replay(&first, &["--save-session", file, "--map", folder.path().join("room.yaml").to_str().unwrap()]);
-    // Which revisions the scan path had heard of when it ended may differ; the map may not.
+    // Which frame updates the scan path had heard of when it ended may differ; the map may not.
     let kept = || {
-        let identity = Identity::new(0, 0, &SlamConfig::default());
+        let identity = SessionIdentity::new(0, 0, &SlamConfig::default());
         let back = mr_slam::session_file::read(&session, &identity).unwrap().back;
         back.poses.iter().flat_map(|p| [p.x_m, p.y_m, p.yaw_rad]).map(f64::to_bits).collect::<Vec<_>>()
     };

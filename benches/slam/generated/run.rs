@@ -195,7 +195,7 @@ impl Outcome {
             scan.ranges_m[..step.ranges_m.len()].copy_from_slice(&step.ranges_m);
             let result = front.process(&scan);
             if let Some(node) = result.node {
-                front.add_revision(back.add_node(node));
+                front.add_frame_update(back.add_node(node));
             }
             let correction = result.correction;
             self.lost_at_end = correction.state() == TrackingState::Lost;
@@ -260,19 +260,19 @@ impl Outcome {
         back: &BackEnd,
         truth_at: &dyn Fn(Stamp) -> Option<Pose2>,
     ) -> Vec<([Pose2; 2], bool)> {
-        let (mut in_force, mut nees) = (Vec::new(), [Vec::new(), Vec::new()]);
+        let (mut active, mut nees) = (Vec::new(), [Vec::new(), Vec::new()]);
         for edge in back.graph().edges() {
             let at = |id: u32| truth_at(back.nodes()[id as usize].header.stamp);
             let Some((a, b)) = at(edge.a).zip(at(edge.b)) else { continue };
             let error = a.between(b).between(edge.a_from_b);
             let wrong = usize::from(error.x_m.hypot(error.y_m) > WRONG_M || error.yaw_rad.abs() > WRONG_RAD);
             let measured = normalized_squared(edge.a_from_b, a.between(b), edge.information);
-            match (edge.kind, edge.in_force) {
+            match (edge.kind, edge.is_active) {
                 (EdgeKind::Closure, true) => {
                     self.closures[wrong] += 1;
                     nees[1].push(measured);
                     let poses = [edge.a, edge.b].map(|id| back.graph().poses()[id as usize]);
-                    in_force.push((poses, wrong == 1));
+                    active.push((poses, wrong == 1));
                 }
                 (EdgeKind::Closure, false) => self.retracted[wrong] += 1,
                 (EdgeKind::Link, true) => {
@@ -283,7 +283,7 @@ impl Outcome {
             }
         }
         self.edge_nees = nees.map(median);
-        in_force
+        active
     }
 }
 
@@ -324,7 +324,7 @@ fn truth_at(steps: &[Step], stamp: Stamp) -> Option<Pose2> {
 
 /// Returns the pose of the true world in the map, where the node has its true pose that the covariances are seen from.
 fn map_from_world(back: &BackEnd, steps: &[Step]) -> Option<Pose2> {
-    let seen_from = back.covariances_seen_from() as usize;
+    let seen_from = back.covariance_reference_node() as usize;
     let map_from_node = *back.graph().poses().get(seen_from)?;
     let world_from_node = truth_at(steps, back.nodes().get(seen_from)?.header.stamp)?;
     Some(map_from_node * world_from_node.inverse())

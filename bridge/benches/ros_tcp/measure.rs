@@ -1,6 +1,6 @@
 //! Times, and how they are printed.
 
-use msg::{Header, Link, LinkTransform, Stamp, Transforms};
+use msg::{Header, LinkTransform, RobotFrame, Stamp, Transforms};
 use std::time::Instant;
 
 pub fn nanoseconds(begin: Instant) -> i64 {
@@ -43,8 +43,12 @@ pub fn stamp_at(payload: &[u8], offset: usize) -> i64 {
 
 pub fn links(header: Header) -> Transforms {
     let mut message = Transforms { header, len: 6, ..Transforms::default() };
-    for (link, child) in message.links.iter_mut().zip(&Link::ALL[1..]) {
-        *link = LinkTransform { parent: Link::Odom as u32, child: *child as u32, ..LinkTransform::default() };
+    for (link, child) in message.links.iter_mut().zip(&RobotFrame::ALL[1..]) {
+        *link = LinkTransform {
+            parent: RobotFrame::Odom as u32,
+            child: *child as u32,
+            ..LinkTransform::default()
+        };
     }
     message
 }

@@ -1,7 +1,9 @@
 //! The bridge's side of navigation: commands to the navigator, and its velocities.
 
 use super::Bridge;
-use msg::{ExplorationCommand, Monotonic, NavigationCommand, RobotId, Sender, VelocityCommand, ZoneCommand};
+use msg::{
+    CommandSource, ExplorationCommand, Monotonic, NavigationCommand, RobotId, VelocityCommand, ZoneCommand,
+};
 
 impl Bridge {
     /// Sets where goals and other commands to the navigator go. It must not call the bridge.
@@ -22,7 +24,7 @@ impl Bridge {
     /// Handles a velocity of the navigator, which drives a robot that nobody else drives.
     pub fn receive_navigation_velocity(&self, robot: RobotId, command: &VelocityCommand, now: Monotonic) {
         self.update(|core| {
-            core.commands.set_sender(Sender::NAVIGATION);
+            core.commands.set_sender(CommandSource::NAVIGATION);
             core.receive_navigation_velocity(robot, command, now);
         });
     }

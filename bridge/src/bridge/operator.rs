@@ -2,7 +2,7 @@
 
 use super::Bridge;
 use crate::core::Core;
-use msg::{OperatorEvent, RobotId, Sender};
+use msg::{CommandSource, OperatorEvent, RobotId};
 
 impl Bridge {
     /// Sets where actions of operators go, for the record. It must not call the bridge.
@@ -48,7 +48,7 @@ impl Bridge {
     /// Changes the core in the name of the person at the laptop.
     fn update_from_laptop(&self, change: impl FnOnce(&mut Core)) {
         self.update(|core| {
-            core.commands.set_sender(Sender::LAPTOP);
+            core.commands.set_sender(CommandSource::LAPTOP);
             change(core);
         });
     }

@@ -5,7 +5,7 @@ use crate::command::Registration;
 use crate::frame::Side;
 use crate::router::SEND_BUFFER_FIRST;
 use bytemuck::Zeroable;
-use msg::{GridHeader, GridView, Link, Scan, Transforms};
+use msg::{GridHeader, GridView, RobotFrame, Scan, Transforms};
 use proptest::prelude::*;
 use ros_messages::{Clock, LaserScan, Message, OccupancyGrid, OccupancyGridUpdate, TfMessage};
 use std::cell::Cell;
@@ -144,7 +144,8 @@ impl World {
                 let mut transforms = Transforms { len: 6, ..Default::default() };
                 transforms.header.stamp = Stamp(ms as i64 * 1_000_000);
                 for link in &mut transforms.links[..6] {
-                    (link.parent, link.child) = (Link::BaseFootprint as u32, Link::BaseLink as u32);
+                    (link.parent, link.child) =
+                        (RobotFrame::BaseFootprint as u32, RobotFrame::BaseLink as u32);
                 }
                 bridge.publish(FleetMessage::Transforms(robot, &transforms));
             }

@@ -8,9 +8,9 @@ use crate::input::{Input, SHARED_GOAL};
 use crate::router::{ClientId, Topic, TopicId};
 use crate::world::{TransformError, floor_pose};
 use msg::{
-    ExclusionZone, ExplorationAction, ExplorationCommand, ExplorationReport, GOAL_POSES_MAX, Link, Monotonic,
-    NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport, NavigationStatus,
-    RobotId, Sender, VelocityCommand, ZoneCommand, ZoneError,
+    CommandSource, ExclusionZone, ExplorationAction, ExplorationCommand, ExplorationReport, GOAL_POSES_MAX,
+    Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport,
+    NavigationStatus, RobotFrame, RobotId, VelocityCommand, ZoneCommand, ZoneError,
 };
 use ros_messages::names::{FleetFrame, MAP};
 use ros_messages::read::Transform;
@@ -202,11 +202,11 @@ impl Core {
         let of = self.fleet.robot_names().parse_frame(frame).filter(|(of, _)| of.number() <= robot_count);
         let frame_of = |(robot, part)| match part {
             FleetFrame::Map => Some((NavigationFrame::RobotMap, Some(robot))),
-            FleetFrame::Link(Link::Odom) => Some((NavigationFrame::Odom, Some(robot))),
-            FleetFrame::Link(Link::BaseFootprint | Link::BaseLink) => {
+            FleetFrame::Robot(RobotFrame::Odom) => Some((NavigationFrame::Odom, Some(robot))),
+            FleetFrame::Robot(RobotFrame::BaseFootprint | RobotFrame::BaseLink) => {
                 Some((NavigationFrame::Base, Some(robot)))
             }
-            FleetFrame::Link(_) => None,
+            FleetFrame::Robot(_) => None,
         };
         of.and_then(frame_of).ok_or_else(|| GoalError::Frame { frame: frame.to_owned() })
     }
@@ -247,7 +247,7 @@ impl Core {
     /// Pauses the robots that drive to goals of an address, and those that explore because of it.
     pub fn pause_robots_of(&mut self, address: IpAddr) {
         let is_theirs =
-            |sender: Sender| sender.address().is_some_and(|peer| peer.ip() == address.to_canonical());
+            |sender: CommandSource| sender.address().is_some_and(|peer| peer.ip() == address.to_canonical());
         let explores = is_theirs(self.commands.exploration_sender());
         let robots: Vec<RobotId> = self
             .fleet

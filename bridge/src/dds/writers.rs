@@ -5,7 +5,7 @@ use super::entities::{EndpointError, EntityFactory};
 use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
 use crate::config::VelocityMessage;
 use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
-use msg::{Link, Monotonic, RobotId, VelocityCommand};
+use msg::{Monotonic, RobotFrame, RobotId, VelocityCommand};
 use ros_messages::cdr::Writer;
 use ros_messages::{FrameNames, Message, RobotNames, Twist, TwistStamped, write};
 use ros2_client::dds::rustdds::bytes::Bytes;
@@ -112,7 +112,11 @@ impl TopicWriters {
             let (index, is_stamped) = self.velocity[robot.index()][writer];
             self.write(index, now, |to| {
                 if is_stamped {
-                    write::header(to, command.header.stamp, names.link(robot, Link::BaseFootprint));
+                    write::header(
+                        to,
+                        command.header.stamp,
+                        names.robot_frame(robot, RobotFrame::BaseFootprint),
+                    );
                 }
                 to.f64s(&[command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s]);
             });

@@ -1,7 +1,7 @@
 //! Finds the tiles of a map whose published cells changed, for mr_slam_msgs/MapTiles.
 
 use msg::grid::UNKNOWN;
-use msg::{GridHeader, GridView, Rect};
+use msg::{GridHeader, GridView, IndexRect};
 use ros_messages::map_tiles::TileUpdate;
 
 /// Side of a tile, cells. A scan changes few of them, and the numbers beside a tile's cells are a fiftieth of it.
@@ -16,7 +16,7 @@ pub struct ChangedTileFinder {
     cells: Vec<i8>,
     /// Number of the last update; 0 before the first.
     number: u32,
-    areas: Vec<Rect>,
+    areas: Vec<IndexRect>,
 }
 
 impl ChangedTileFinder {
@@ -85,7 +85,7 @@ fn moved_cells(before: &GridHeader, cells: &[i8], now: &GridHeader, (dx, dy): (i
 }
 
 /// Adds the changed tiles of a map; neighbours in a row of tiles become one rectangle.
-fn add_changed(areas: &mut Vec<Rect>, before: &[i8], map: GridView<'_>, values: &[i8; 256]) {
+fn add_changed(areas: &mut Vec<IndexRect>, before: &[i8], map: GridView<'_>, values: &[i8; 256]) {
     let (width, height) = (map.header.width as usize, map.header.height as usize);
     let rows_of_tile = TILE_CELLS * width.max(1);
     let mut is_changed = vec![false; width.div_ceil(TILE_CELLS)];
@@ -101,7 +101,7 @@ fn add_changed(areas: &mut Vec<Rect>, before: &[i8], map: GridView<'_>, values: 
         let rows = (y0 as i64, (y0 + TILE_CELLS).min(height) as i64);
         for run in runs(&is_changed) {
             let (x0, x1) = ((run.0 * TILE_CELLS) as i64, (run.1 * TILE_CELLS).min(width) as i64);
-            areas.push(Rect { x0, y0: rows.0, x1, y1: rows.1 });
+            areas.push(IndexRect { x0, y0: rows.0, x1, y1: rows.1 });
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The frames that external robots call `odom`, as their own messages say, so that map -> odom joins their trees.
 
 use crate::input::Input;
-use msg::{Link, RobotId};
+use msg::{RobotFrame, RobotId};
 use ros_messages::RobotNames;
 use ros_messages::cdr::Reader;
 use ros_messages::names::FleetFrame;
@@ -96,8 +96,8 @@ fn robot_of_odometry(names: &RobotNames, transform: &Transform<'_>) -> Option<Ro
 }
 
 fn is_odometry(parent: Option<FleetFrame>, child: Option<FleetFrame>) -> bool {
-    let bases = [Link::BaseFootprint, Link::BaseLink].map(|link| Some(FleetFrame::Link(link)));
-    parent == Some(FleetFrame::Link(Link::Odom)) && bases.contains(&child)
+    let bases = [RobotFrame::BaseFootprint, RobotFrame::BaseLink].map(|link| Some(FleetFrame::Robot(link)));
+    parent == Some(FleetFrame::Robot(RobotFrame::Odom)) && bases.contains(&child)
 }
 
 #[cfg(test)]

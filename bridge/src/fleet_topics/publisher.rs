@@ -13,8 +13,8 @@ use crate::input::Input;
 use crate::repeater::{CorrectionRepeater, Repetition};
 use json::{exploration_json, navigation_json, zones_json};
 use msg::{
-    Clock, Correction, ExclusionZones, ExplorationReport, FleetStats, GridView, Link, MapTransforms,
-    Monotonic, NavigationPlan, NavigationReport, Odometry, RobotId, Scan, Stamp, Transforms,
+    Clock, Correction, ExclusionZones, ExplorationReport, FleetStats, GridView, MapTransforms, Monotonic,
+    NavigationPlan, NavigationReport, Odometry, RobotFrame, RobotId, Scan, Stamp, Transforms,
 };
 use ros_messages::cdr::Writer;
 use ros_messages::map_tiles::write_map_tiles;
@@ -205,7 +205,7 @@ impl FleetPublisher {
     pub fn publish(&mut self, message: FleetMessage<'_>, sink: &mut impl TopicSink) {
         match message {
             FleetMessage::Scan(robot, scan) if self.has(robot) => {
-                let frame = self.names.link(robot, Link::BaseScan);
+                let frame = self.names.robot_frame(robot, RobotFrame::BaseScan);
                 sink.send(FleetTopic::Scan, Some(robot), |to| write::laser_scan(to, frame, scan));
             }
             FleetMessage::Transforms(robot, transforms) if self.has(robot) => {
@@ -259,8 +259,8 @@ impl FleetPublisher {
 
     /// Publishes a robot's odometry with the errors that have added up.
     fn publish_odometry(&mut self, robot: RobotId, odometry: &msg::Odometry, sink: &mut impl TopicSink) {
-        let frame = self.names.link(robot, Link::Odom);
-        let child = self.names.link(robot, Link::BaseFootprint);
+        let frame = self.names.robot_frame(robot, RobotFrame::Odom);
+        let child = self.names.robot_frame(robot, RobotFrame::BaseFootprint);
         let OdometryCovariances { sigmas, robots } = &mut self.odometry;
         let covariance = &mut robots[robot.index()];
         covariance.add(sigmas, odometry);

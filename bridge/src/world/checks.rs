@@ -1,7 +1,7 @@
 //! Checks of the numbers in sensor data from outside: what is accepted is finite and within physical bounds.
 
 use msg::pose::yaw_of_quaternion;
-use msg::{BEAMS_MAX, Header, Link, LinkTransform, Pose2, Scan};
+use msg::{BEAMS_MAX, Header, LinkTransform, Pose2, RobotFrame, Scan};
 use ros_messages::read::Transform;
 use std::f64::consts::TAU;
 use thiserror::Error;
@@ -146,8 +146,8 @@ pub fn check_scan(scan: &mut Scan) -> Result<(), ScanError> {
 
 /// Checks a transform's numbers and normalises its quaternion.
 pub fn check_link(
-    parent: Link,
-    child: Link,
+    parent: RobotFrame,
+    child: RobotFrame,
     transform: &Transform<'_>,
 ) -> Result<LinkTransform, TransformError> {
     let is_near = |value: &&f64| value.abs() <= DISTANCE_MAX_M;
@@ -169,7 +169,7 @@ pub fn check_link(
 
 /// Returns the pose on the floor that a transform gives.
 pub(crate) fn floor_pose(transform: &Transform<'_>) -> Result<Pose2, TransformError> {
-    planar_pose(&check_link(Link::Odom, Link::BaseFootprint, transform)?)
+    planar_pose(&check_link(RobotFrame::Odom, RobotFrame::BaseFootprint, transform)?)
 }
 
 /// Returns the pose on the floor. Fails if the robot leans.

@@ -21,7 +21,7 @@ pub(crate) struct MapPoints {
     /// Centres of squares that hold mostly floor and no wall.
     pub floor_m: Vec<[f32; 2]>,
     /// Least and greatest x and y of the points, metres.
-    pub hull_m: [[f64; 2]; 2],
+    pub bounds_m: [[f64; 2]; 2],
     /// Distance of the farthest point from the origin, metres.
     pub radius_m: f64,
 }
@@ -85,10 +85,10 @@ impl MapPoints {
         let radius = |points: &[[f32; 2]]| points.iter().fold(0.0_f32, |r, [x, y]| r.max(x.hypot(*y)));
         let radius_m = radius(&walls_m).max(radius(&floor_m)).into();
         let to_centre = Pose2::new(centre[0] * resolution, centre[1] * resolution, 0.0);
-        let hull_m = [0, 1].map(|end| {
+        let bounds_m = [0, 1].map(|end| {
             [0, 1].map(|k| if known { (hull[2 * end + k] - centre[k]) * resolution } else { 0.0 })
         });
         let frame_from_centred = grid.header.origin * to_centre;
-        Self { frame_from_centred, hull_m, walls_m, wall_point_m: resolution, floor_m, radius_m }
+        Self { frame_from_centred, bounds_m, walls_m, wall_point_m: resolution, floor_m, radius_m }
     }
 }

@@ -47,12 +47,12 @@ pub(crate) struct TranslationSearch<'a> {
 impl<'a> TranslationSearch<'a> {
     /// Prepares the search for `b` in `a`.
     pub fn new(a: &MapPoints, b: &'a MapPoints) -> Self {
-        let span_m = |k: usize| a.hull_m[1][k] - a.hull_m[0][k];
+        let span_m = |k: usize| a.bounds_m[1][k] - a.bounds_m[0][k];
         let reach_m = span_m(0).max(span_m(1)) + 2.0 * b.radius_m;
         let cell_m = COARSE_CELL_M.max(reach_m / (SIDE_MAX - MARGIN_CELLS) as f64);
         let size = [0, 1]
             .map(|k| fast_size(((span_m(k) + 2.0 * b.radius_m) / cell_m).ceil() as usize + MARGIN_CELLS));
-        let centre_a = [0, 1].map(|k| (-a.hull_m[0][k] / cell_m).ceil() as usize + 1);
+        let centre_a = [0, 1].map(|k| (-a.bounds_m[0][k] / cell_m).ceil() as usize + 1);
         let mut fft = Fft2::new(size[0], size[1]);
         let mut walls = vec![0.0; size[0] * size[1]];
         let mut floor = walls.clone();

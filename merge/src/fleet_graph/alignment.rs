@@ -42,7 +42,7 @@ pub(crate) struct AlignJob {
 
 /// Result of an [`AlignJob`].
 #[derive(Debug)]
-pub(crate) struct MapsAligned {
+pub(crate) struct AlignmentResult {
     /// The pair of robots.
     pub pair: usize,
     nodes: [u32; 2],
@@ -63,7 +63,7 @@ pub(crate) struct CheckJob {
 
 /// Result of a [`CheckJob`].
 #[derive(Debug)]
-pub(crate) struct MapsChecked {
+pub(crate) struct VerificationResult {
     /// The pair of robots.
     pub pair: usize,
     /// Nodes of both robots together.
@@ -182,7 +182,7 @@ fn with_chance([a, b]: [&Grid; 2], alignment: Alignment, config: &AlignConfig) -
 
 impl AlignJob {
     /// Aligns the maps.
-    pub fn run(self) -> MapsAligned {
+    pub fn run(self) -> AlignmentResult {
         let found = compose_both(&self.maps).and_then(|[a, b]| {
             let alignment = align(a.view(), b.view(), &self.config)?;
             // Only an accepted alignment is compared with chance.
@@ -193,13 +193,13 @@ impl AlignJob {
             })
         });
         let chance_lead_min = self.config.chance_lead_min;
-        MapsAligned { pair: self.pair, nodes: self.nodes, found, chance_lead_min }
+        AlignmentResult { pair: self.pair, nodes: self.nodes, found, chance_lead_min }
     }
 }
 
 impl CheckJob {
     /// Compares the maps.
-    pub fn run(self) -> MapsChecked {
+    pub fn run(self) -> VerificationResult {
         let found = compose_both(&self.maps).and_then(|[a, b]| {
             let config = &self.config.align;
             let alignment = evaluate(a.view(), b.view(), Pose2::IDENTITY, config)?;
@@ -222,11 +222,11 @@ impl CheckJob {
             let alignment = near.or_else(|| evaluate(a.view(), b.view(), a_from_b, config))?;
             Some((a_from_b, with_chance([&a, &b], alignment, config)))
         });
-        MapsChecked { pair: self.pair, nodes: self.nodes, found, at_starts, config: self.config }
+        VerificationResult { pair: self.pair, nodes: self.nodes, found, at_starts, config: self.config }
     }
 }
 
-impl MapsAligned {
+impl AlignmentResult {
     /// Records the alignment; returns whether the pair's edge became accepted.
     pub fn apply(self, pairs: &mut [RobotPair], maps_are_complete: bool) -> bool {
         let edge = &mut pairs[self.pair].edge;
@@ -238,7 +238,7 @@ impl MapsAligned {
     }
 }
 
-impl MapsChecked {
+impl VerificationResult {
     /// Records the check.
     pub fn apply(self, pairs: &mut [RobotPair]) -> CheckedPair {
         let pair = &mut pairs[self.pair];

@@ -78,7 +78,7 @@ struct Attempt {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ClosureSet {
     found: Vec<Closure>,
-    in_force: Vec<usize>,
+    active: Vec<usize>,
     residual_m: f64,
     attempts: BTreeMap<(usize, usize), Attempt>,
     alignment: Option<AlignmentLink>,
@@ -97,7 +97,7 @@ pub(crate) struct MatchJob {
 
 /// Result of a [`MatchJob`].
 #[derive(Debug)]
-pub(crate) struct Matched {
+pub(crate) struct SubmapMatchResult {
     /// Index of the pair of robots.
     pub pair: usize,
     ids: [usize; 2],
@@ -106,10 +106,10 @@ pub(crate) struct Matched {
 
 impl MatchJob {
     /// Matches the submaps.
-    pub fn run(self) -> Matched {
+    pub fn run(self) -> SubmapMatchResult {
         let [i, j] = &self.grids;
         let found = match_submaps(i.view(), j.view(), self.predicted, self.window, &self.config);
-        Matched { pair: self.pair, ids: self.ids, found }
+        SubmapMatchResult { pair: self.pair, ids: self.ids, found }
     }
 }
 
@@ -125,8 +125,8 @@ impl ClosureSet {
     }
 
     /// Returns the indices of the closures that the last solution kept.
-    pub fn in_force(&self) -> &[usize] {
-        &self.in_force
+    pub fn active(&self) -> &[usize] {
+        &self.active
     }
 
     /// Returns the mean residual of the closures in the last solution, metres.
@@ -135,8 +135,8 @@ impl ClosureSet {
     }
 
     /// Records which closures a solution kept, and their mean residual.
-    pub fn apply_solution(&mut self, in_force: Vec<usize>, residual_m: f64) {
-        (self.in_force, self.residual_m) = (in_force, residual_m);
+    pub fn apply_solution(&mut self, active: Vec<usize>, residual_m: f64) {
+        (self.active, self.residual_m) = (active, residual_m);
     }
 
     /// Links the two submaps whose centres are nearest to each other by the alignment of the whole maps, unless there is
@@ -208,8 +208,8 @@ impl ClosureSet {
     }
 
     /// Records the result of a match; returns whether a closure was found.
-    pub fn record(&mut self, a: &Robot, b: &Robot, result: Matched) -> bool {
-        let Matched { ids, found, .. } = result;
+    pub fn record(&mut self, a: &Robot, b: &Robot, result: SubmapMatchResult) -> bool {
+        let SubmapMatchResult { ids, found, .. } = result;
         let attempt =
             Attempt { distance_m: self.distance_to_closure_m(a, b, ids), succeeded: found.is_some() };
         self.attempts.insert((ids[0], ids[1]), attempt);
@@ -225,7 +225,7 @@ impl ClosureSet {
     pub fn push(&mut self, closure: Closure) {
         if self.found.len() == CLOSURES_MAX {
             self.found.remove(0);
-            self.in_force.clear();
+            self.active.clear();
         }
         self.found.push(closure);
     }
@@ -253,7 +253,7 @@ impl ClosureSet {
     /// Returns the least distance that the robots drove between two submaps and where their relation is known, metres.
     fn distance_to_closure_m(&self, a: &Robot, b: &Robot, [i, j]: [usize; 2]) -> f64 {
         let from = |[m, n]: [usize; 2]| a.submaps.distance_driven_m(i, m) + b.submaps.distance_driven_m(j, n);
-        let closures = self.in_force.iter().filter_map(|k| self.found.get(*k)).map(|c| c.ids);
+        let closures = self.active.iter().filter_map(|k| self.found.get(*k)).map(|c| c.ids);
         let known = closures.chain(self.alignment.map(|link| link.ids));
         let least_m = known.map(from).fold(f64::INFINITY, f64::min);
         // Robots whose starts were given are known to each other there.

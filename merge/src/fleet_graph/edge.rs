@@ -87,7 +87,7 @@ impl MapEdge {
 
     /// Returns whether the edge is part of the graph.
     pub fn is_active(&self) -> bool {
-        self.state.in_force()
+        self.state.is_active()
     }
 
     /// Returns whether one alignment was found, and a second one is awaited.

@@ -74,7 +74,7 @@ pub(crate) struct JointSolution {
 struct SolvedPair {
     pair: usize,
     /// Indices of the active closures.
-    in_force: Vec<usize>,
+    active: Vec<usize>,
     /// Mean residual of these closures, metres.
     residual_m: f64,
 }
@@ -146,26 +146,26 @@ impl JointProblem {
     /// The graph cannot be solved.
     pub fn solve(mut self) -> Result<JointSolution, SolveError> {
         let start = self.poses.clone();
-        let mut in_force: Vec<Vec<usize>> =
+        let mut active: Vec<Vec<usize>> =
             self.pairs.iter().map(|pair| self.consistent_closures(pair)).collect();
-        self.optimise(&in_force)?;
+        self.optimise(&active)?;
         let kept: Vec<Vec<usize>> = self
             .pairs
             .iter()
-            .zip(&in_force)
+            .zip(&active)
             .map(|(pair, closures)| closures.iter().filter(|k| self.is_inlier(pair, **k)).copied().collect())
             .collect();
-        if kept != in_force {
-            in_force = kept;
+        if kept != active {
+            active = kept;
             self.poses = start;
-            self.optimise(&in_force)?;
+            self.optimise(&active)?;
         }
-        Ok(self.solution(in_force))
+        Ok(self.solution(active))
     }
 
-    fn optimise(&mut self, in_force: &[Vec<usize>]) -> Result<(), SolveError> {
+    fn optimise(&mut self, active: &[Vec<usize>]) -> Result<(), SolveError> {
         let mut edges = self.edges.clone();
-        for (pair, closures) in self.pairs.iter().zip(in_force) {
+        for (pair, closures) in self.pairs.iter().zip(active) {
             edges.extend(closures.iter().map(|k| self.closure_edge(pair, *k)));
             edges.extend(pair.alignment.filter(|_| closures.is_empty()));
         }
@@ -173,9 +173,9 @@ impl JointProblem {
     }
 
     /// Returns the robot whose given start is the farthest outside the errors of a start, where closures relate it to others.
-    fn contradicted_start(&self, in_force: &[Vec<usize>]) -> Option<usize> {
+    fn contradicted_start(&self, active: &[Vec<usize>]) -> Option<usize> {
         let closures = |robot: usize| -> usize {
-            let pairs = self.pairs.iter().zip(in_force).filter(|(pair, _)| pair.robots.contains(&robot));
+            let pairs = self.pairs.iter().zip(active).filter(|(pair, _)| pair.robots.contains(&robot));
             pairs.map(|(_, closures)| closures.len()).sum()
         };
         let errors = self.starts.iter().filter(|(robot, _)| closures(*robot) >= CLOSURES_MIN);
@@ -187,19 +187,19 @@ impl JointProblem {
         worst.filter(|(error, _)| *error > self.config.outlier_sigmas.powi(2)).map(|(_, robot)| robot)
     }
 
-    fn solution(&self, in_force: Vec<Vec<usize>>) -> JointSolution {
-        let contradicted_start = self.contradicted_start(&in_force);
+    fn solution(&self, active: Vec<Vec<usize>>) -> JointSolution {
+        let contradicted_start = self.contradicted_start(&active);
         let robots = self.robots.iter().map(|robot| {
             let each = robot.poses.iter().zip(&self.poses[robot.first..]);
             (robot.robot, each.map(|(own, in_map)| *in_map * own.inverse()).collect())
         });
-        let pairs = self.pairs.iter().zip(in_force).map(|(pair, closures)| {
+        let pairs = self.pairs.iter().zip(active).map(|(pair, closures)| {
             let errors_m = closures.iter().map(|k| {
                 let edge = self.closure_edge(pair, *k);
                 self.poses[edge.a].between(self.poses[edge.b]).distance_m(edge.a_from_b)
             });
             let residual_m = errors_m.sum::<f64>() / closures.len().max(1) as f64;
-            SolvedPair { pair: pair.pair, in_force: closures, residual_m }
+            SolvedPair { pair: pair.pair, active: closures, residual_m }
         });
         JointSolution { robots: robots.collect(), pairs: pairs.collect(), contradicted_start }
     }
@@ -251,9 +251,9 @@ impl JointSolution {
                 robots[robot].apply_solution(at_submaps);
             }
         }
-        for SolvedPair { pair, in_force, residual_m } in self.pairs {
-            let closures = in_force.len();
-            pairs[pair].closures.apply_solution(in_force, residual_m);
+        for SolvedPair { pair, active, residual_m } in self.pairs {
+            let closures = active.len();
+            pairs[pair].closures.apply_solution(active, residual_m);
             let both = robots_of_pair(pair).map(|robot| &robots[robot]);
             let nodes = both.iter().map(|robot| robot.submaps.node_count()).sum();
             let [a, b] = both.map(|robot| robot.estimate.transform());

@@ -5,7 +5,7 @@
 //! is not used any more: the place of its robot is unknown until an edge gives it.
 
 use super::FleetPoseGraph;
-use super::alignment::{MapsAligned, MapsChecked};
+use super::alignment::{AlignmentResult, VerificationResult};
 use super::edge::{Evidence, SAME_ALIGNMENT_M, SAME_ALIGNMENT_RAD};
 use super::pair::{RobotPair, robots_of_pair};
 use crate::config::{ClosureConfig, MergeConfig};
@@ -108,7 +108,7 @@ impl FleetPoseGraph {
     }
 
     /// Applies an alignment of two whole maps.
-    pub(crate) fn apply_alignment(&mut self, maps: MapsAligned) {
+    pub(crate) fn apply_alignment(&mut self, maps: AlignmentResult) {
         let pair = maps.pair;
         if !maps.apply(&mut self.pairs, self.maps_are_complete) {
             return;
@@ -121,7 +121,7 @@ impl FleetPoseGraph {
     }
 
     /// Applies a comparison of two whole maps where the graph has them.
-    pub(crate) fn apply_check(&mut self, maps: MapsChecked) {
+    pub(crate) fn apply_check(&mut self, maps: VerificationResult) {
         let pair = maps.pair;
         let checked = maps.apply(&mut self.pairs);
         if checked.starts_are_contradicted {

@@ -1,7 +1,7 @@
 //! The expensive steps as plain values: any thread can run them, and the result depends on the input alone.
 
-use super::alignment::{AlignJob, CheckJob, MapsAligned, MapsChecked};
-use super::closures::{MatchJob, Matched};
+use super::alignment::{AlignJob, AlignmentResult, CheckJob, VerificationResult};
+use super::closures::{MatchJob, SubmapMatchResult};
 use super::joint::{JointProblem, JointSolution};
 use super::robot::{RedrawJob, Redrawn};
 use super::submaps::SubmapSource;
@@ -15,9 +15,9 @@ pub struct Task {
     pub(super) job: Job,
 }
 
-/// Result of a [`Task`]. See [`FleetPoseGraph::apply_outcome`](super::FleetPoseGraph::apply_outcome).
+/// Result of a [`Task`]. See [`FleetPoseGraph::apply_result`](super::FleetPoseGraph::apply_result).
 #[derive(Debug)]
-pub struct Outcome {
+pub struct TaskResult {
     pub(super) sources: Vec<Option<SubmapSource>>,
     pub(super) result: JobResult,
 }
@@ -38,16 +38,16 @@ pub(super) enum Job {
 
 #[derive(Debug)]
 pub(super) enum JobResult {
-    Aligned(MapsAligned),
-    Checked(Box<MapsChecked>),
-    Matched(Matched),
+    Aligned(AlignmentResult),
+    Checked(Box<VerificationResult>),
+    Matched(SubmapMatchResult),
     Solved(Result<JointSolution, SolveError>),
     Redrawn(Redrawn),
 }
 
 impl Task {
     /// Runs the task. It takes up to some hundred milliseconds.
-    pub fn run(self) -> Outcome {
+    pub fn run(self) -> TaskResult {
         let result = match self.job {
             Job::Align(job) => JobResult::Aligned(job.run()),
             Job::Check(job) => JobResult::Checked(Box::new(job.run())),
@@ -55,11 +55,11 @@ impl Task {
             Job::Solve(problem) => JobResult::Solved(problem.solve()),
             Job::Redraw(job) => JobResult::Redrawn(job.run()),
         };
-        Outcome { sources: self.sources, result }
+        TaskResult { sources: self.sources, result }
     }
 }
 
-impl Outcome {
+impl TaskResult {
     /// Returns the reason why the joint graph could not be solved, if the task was to solve it and failed.
     pub fn solve_error(&self) -> Option<SolveError> {
         match &self.result {

@@ -107,7 +107,7 @@ fn send_of(
 fn work(fleet: &mut FleetPoseGraph) {
     for _ in 0..2_000 {
         let Some(task) = fleet.next_task() else { return };
-        fleet.apply_outcome(task.run());
+        fleet.apply_result(task.run());
     }
     panic!("the graph has work without end");
 }
@@ -183,9 +183,9 @@ fn wrong_closures_are_not_in_force() {
     }
     fleet.needs_solve = true;
     work(&mut fleet);
-    let in_force = fleet.pairs[0].closures.in_force();
-    assert!(in_force.iter().all(|k| *k < right.len()), "{in_force:?} of {}", right.len());
-    assert!(in_force.len() * 10 >= right.len() * 9, "{in_force:?} of {}", right.len());
+    let active = fleet.pairs[0].closures.active();
+    assert!(active.iter().all(|k| *k < right.len()), "{active:?} of {}", right.len());
+    assert!(active.len() * 10 >= right.len() * 9, "{active:?} of {}", right.len());
     let [after_m, _] = errors(&fleet, [&paths[0], &paths[1]], drifted);
     assert!(after_m < before_m + 0.01, "{after_m} m with them, {before_m} m without");
 }
@@ -201,7 +201,7 @@ fn a_failed_solution_changes_nothing_and_is_reported() {
     fleet.needs_solve = true;
     let outcome = fleet.next_task().unwrap().run();
     assert!(outcome.solve_error().is_some());
-    fleet.apply_outcome(outcome);
+    fleet.apply_result(outcome);
     assert_eq!((fleet.solve_count(), fleet.failed_solve_count()), (solved, 1));
     assert_eq!([1, 2].map(|k| fleet.map_from_robot_map(robot(k))), transforms);
     assert_eq!((edge(&fleet).a_from_b, edge(&fleet).closures), (before.a_from_b, before.closures));

@@ -4,7 +4,7 @@ use crate::resample::ResampleBuffer;
 use crate::robot_map::RobotMap;
 use msg::grid::{LOG_ODDS_MAX, SWEPT_FREE, UNKNOWN};
 use msg::tiles::TILE_CELLS;
-use msg::{MapTile, ROBOTS_MAX, Rect};
+use msg::{IndexRect, MapTile, ROBOTS_MAX};
 
 /// Adds the log-odds of all robots in one tile of the lattice; `None` if nothing is known there.
 ///
@@ -20,7 +20,7 @@ pub(super) fn fuse_tile(
     let mut sums = [0_i16; TILE_CELLS];
     let mut ranks = [RANK_UNKNOWN; TILE_CELLS];
     let mut any = false;
-    for robot in robots.iter().filter(|robot| robot.tiles.contains(Rect::single(x, y))) {
+    for robot in robots.iter().filter(|robot| robot.tiles.contains(IndexRect::single(x, y))) {
         let resampler = robot.resampler.as_ref();
         if resampler.is_some_and(|resampler| resampler.resample_tile(x, y, &robot.drawn, buffer)) {
             any = true;
@@ -40,7 +40,7 @@ pub(super) fn fuse_tile(
         let (known, driven) = (-i8::from(*least != RANK_UNKNOWN), -i8::from(*least == rank(SWEPT_FREE)));
         *cell = (((sum & !driven) | (SWEPT_FREE & driven)) & known) | (UNKNOWN & !known);
     }
-    for robot in robots.iter().filter(|robot| robot.path_tiles.contains(Rect::single(x, y))) {
+    for robot in robots.iter().filter(|robot| robot.path_tiles.contains(IndexRect::single(x, y))) {
         robot.clear_path(resolution_m, &mut tile);
     }
     Some(tile)

@@ -32,10 +32,10 @@ pub(super) fn at(merger: &mut Merger, x: i64, y: i64) -> i8 {
 
 /// Merged log-odds in a fixed window, which must hold all known cells.
 fn window(merger: &mut Merger, half: i64) -> Vec<i8> {
-    let cells = Rect { x0: -half, y0: -half, x1: half, y1: half };
+    let cells = IndexRect { x0: -half, y0: -half, x1: half, y1: half };
     let view = merger.merged().to_owned();
     let corner = [view.header.origin.x_m, view.header.origin.y_m].map(|m| (m / RESOLUTION_M).round() as i64);
-    let merged = Rect::with_size(view.header.width, view.header.height);
+    let merged = IndexRect::with_size(view.header.width, view.header.height);
     let outside = view.cells.iter().zip(merged.points()).filter(|(cell, (x, y))| {
         let (x, y) = (x + corner[0], y + corner[1]);
         **cell != UNKNOWN && !(x >= -half && x < half && y >= -half && y < half)
@@ -66,7 +66,7 @@ fn grown(map: &Grid, [left, below, right, above]: [u32; 4]) -> Grid {
     let (width, height) = (map.header.width + left + right, map.header.height + below + above);
     let r = map.header.resolution_m;
     let shift = Pose2::new(-f64::from(left) * r, -f64::from(below) * r, 0.0);
-    let cells = Rect::with_size(width, height).points();
+    let cells = IndexRect::with_size(width, height).points();
     let cells = cells.map(|(x, y)| map.view().cell(x - i64::from(left), y - i64::from(below))).collect();
     Grid { header: GridHeader { width, height, origin: map.header.origin * shift, ..map.header }, cells }
 }
@@ -295,7 +295,7 @@ proptest! {
         };
         let corner = corner.map(|cells| cells as f64 * RESOLUTION_M);
         let turn = Pose2::new(corner[0], corner[1], f64::from(turns) * FRAC_PI_2);
-        let cells = Rect::with_size(turned_width as u32, turned_height as u32).points();
+        let cells = IndexRect::with_size(turned_width as u32, turned_height as u32).points();
         let cells = cells.map(|(x, y)| { let (x, y) = source(x, y); map.view().cell(x, y) }).collect();
         let turned = grid(map.header.origin * turn, RESOLUTION_M, turned_width as u32, cells);
         let (mut plain, mut rotated) = (merger(&[Pose2::IDENTITY]), merger(&[Pose2::IDENTITY]));

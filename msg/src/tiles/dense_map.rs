@@ -2,7 +2,7 @@
 
 use super::{MAP_TILES_MAX, MapTile, TILE, TileMap};
 use crate::grid::UNKNOWN;
-use crate::rect::Rect;
+use crate::rect::IndexRect;
 use crate::{Grid, GridView};
 
 /// The smallest grid that contains all known cells of a [`TileMap`].
@@ -11,9 +11,9 @@ pub struct DenseMap {
     /// Version of the map that `grid` shows.
     map: TileMap,
     /// Rectangle of known cells of each tile of `map`, by the tile's index in the extent.
-    known: Vec<Rect>,
+    known: Vec<IndexRect>,
     /// Cells of the lattice that `grid` shows.
-    window: Rect,
+    window: IndexRect,
     grid: Grid,
 }
 
@@ -21,7 +21,7 @@ impl DenseMap {
     /// Updates the grid to a version of the map. Copies only changed tiles unless the known part changed its size.
     pub fn update(&mut self, map: &TileMap) -> GridView<'_> {
         let known = self.known_of(map);
-        let window = known.iter().fold(Rect::default(), |all, part| all.union(*part));
+        let window = known.iter().fold(IndexRect::default(), |all, part| all.union(*part));
         if window == self.window {
             let changed: Vec<(i64, i64)> = map.changed_since(&self.map).collect();
             changed.into_iter().for_each(|(x, y)| self.copy(map, x, y));
@@ -42,24 +42,24 @@ impl DenseMap {
     }
 
     /// Returns the cells of the map's lattice that the grid shows.
-    pub fn window(&self) -> Rect {
+    pub fn window(&self) -> IndexRect {
         self.window
     }
 
-    fn known_of(&self, map: &TileMap) -> Vec<Rect> {
+    fn known_of(&self, map: &TileMap) -> Vec<IndexRect> {
         debug_assert!(map.extent().area().is_some_and(|tiles| tiles <= MAP_TILES_MAX));
         let before = |x, y| self.known[self.map.extent().index(x, y)];
         let known = |(x, y)| match (map.get(x, y), self.map.get(x, y)) {
             (Some(tile), Some(old)) if std::sync::Arc::ptr_eq(tile, old) => before(x, y),
             (Some(tile), _) => tile.known(),
-            (None, _) => Rect::default(),
+            (None, _) => IndexRect::default(),
         };
         map.extent().points().map(known).collect()
     }
 
     /// Copies the part of a tile that lies in the window.
     fn copy(&mut self, map: &TileMap, x: i64, y: i64) {
-        let part = Rect::cells_of_tile(x, y).intersect(self.window);
+        let part = IndexRect::cells_of_tile(x, y).intersect(self.window);
         if part.is_empty() {
             return;
         }
@@ -94,7 +94,7 @@ mod tests {
             let mut dense = DenseMap::default();
             for (x, y, cell, look) in edits {
                 let (tx, ty) = (x.div_euclid(TILE), y.div_euclid(TILE));
-                prop_assert!(map.grow_to(Rect::single(tx, ty), 64));
+                prop_assert!(map.grow_to(IndexRect::single(tx, ty), 64));
                 let place = (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize;
                 map.get_mut(tx, ty).unwrap().cells[place] = cell;
                 if look {
@@ -104,9 +104,9 @@ mod tests {
             let updated = dense.update(&map).to_owned();
             let window = dense.window();
             prop_assert_eq!(&updated, &DenseMap::default().update(&map).to_owned());
-            let everything = Rect { x0: -192, y0: -192, x1: 192, y1: 192 };
+            let everything = IndexRect { x0: -192, y0: -192, x1: 192, y1: 192 };
             let known = everything.points().filter(|(x, y)| map.cell(*x, *y) != UNKNOWN);
-            let smallest = known.fold(Rect::default(), |all, (x, y)| all.union(Rect::single(x, y)));
+            let smallest = known.fold(IndexRect::default(), |all, (x, y)| all.union(IndexRect::single(x, y)));
             prop_assert_eq!(window, smallest);
             for ((x, y), cell) in window.points().zip(&updated.cells) {
                 prop_assert_eq!(map.cell(x, y), *cell);

@@ -5,7 +5,7 @@
 //! The writer then sends the whole map again, which changes nothing for the other readers.
 
 use super::{MAP_TILES_MAX, MapHeader, MapTile, TileMap};
-use crate::rect::Rect;
+use crate::rect::IndexRect;
 use crate::{Header, Message};
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
@@ -168,7 +168,7 @@ impl PatchReceiver {
         }
         let shown = self.complete.get(x, y).filter(|_| self.complete.header.same_lattice(&self.next.header));
         let kept = [self.next.get(x, y), shown].into_iter().flatten().find(|old| ***old == *tile).cloned();
-        let fits = self.next.grow_to(Rect::single(x, y), MAP_TILES_MAX);
+        let fits = self.next.grow_to(IndexRect::single(x, y), MAP_TILES_MAX);
         self.next.set(x, y, Some(kept.unwrap_or_else(|| Arc::new(*tile))));
         fits
     }

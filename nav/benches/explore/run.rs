@@ -314,7 +314,7 @@ impl Pilot for NavigatorPilot {
             observation: observe(world, robot),
             odom_from_base: Some(robot.pose()),
             map_from_robot_map: None,
-            certainty: None,
+            uncertainty: None,
         };
         let robots: Vec<NavigatedRobot> = world.robots.iter().map(navigated).collect();
         let input = NavigationInput { stamp: world.now, robots: &robots, exclusion_zones: &[] };

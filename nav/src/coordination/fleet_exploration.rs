@@ -152,14 +152,14 @@ impl FleetExploration {
     }
 
     /// Whether a person has taken a robot.
-    pub fn is_taken(&self, robot: RobotId) -> bool {
+    pub fn is_manual(&self, robot: RobotId) -> bool {
         self.taken[robot.index()]
     }
 
     /// Takes a robot out of the exploration, because a person drives it, has stopped it or gives it a goal.
     ///
     /// A goal that the exploration gave it stays with the navigator unless `has_new_goal`.
-    pub fn take(&mut self, robot: RobotId, has_new_goal: bool) {
+    pub fn set_manual(&mut self, robot: RobotId, has_new_goal: bool) {
         self.taken[robot.index()] = true;
         if has_new_goal {
             self.sent[robot.index()] = None;
@@ -167,7 +167,7 @@ impl FleetExploration {
     }
 
     /// Gives a robot back to the exploration.
-    pub fn give_back(&mut self, robot: RobotId) {
+    pub fn release_manual(&mut self, robot: RobotId) {
         self.taken[robot.index()] = false;
     }
 
@@ -224,7 +224,7 @@ impl FleetExploration {
         *home = home.or(robot_map_from_base);
         let state = navigator.robots().find(|navigation| navigation.robot == id).map(|n| n.state);
         let availability = match state {
-            _ if is_silent(id) => RobotAvailability::Dead,
+            _ if is_silent(id) => RobotAvailability::Silent,
             _ if self.taken[id.index()] => RobotAvailability::Manual,
             Some(NavigationState::Paused) => RobotAvailability::Manual,
             _ if pose.is_none() => RobotAvailability::Lost,
@@ -253,7 +253,8 @@ impl FleetExploration {
         let is_explored = map.is_none_or(|map| map.coordinator.phase() == CoordinationPhase::Exploring);
         let may = availability == RobotAvailability::Free && is_explored;
         let revisits = &mut self.revisits[index];
-        let Some((robot_map_from_base, certainty)) = robot_map_from_base.zip(robot.certainty).filter(|_| may)
+        let Some((robot_map_from_base, uncertainty)) =
+            robot_map_from_base.zip(robot.uncertainty).filter(|_| may)
         else {
             revisits.interrupt();
             return availability;
@@ -266,7 +267,7 @@ impl FleetExploration {
         let place = revisits.step(&RevisitInput {
             stamp: input.stamp,
             robot_map_from_base,
-            certainty,
+            uncertainty,
             progress,
             known_m2,
             is_excluded: &is_excluded,

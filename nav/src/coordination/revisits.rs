@@ -5,7 +5,7 @@
 
 use super::types::GoalProgress;
 use crate::geometry::distance_m;
-use crate::navigation::PlaceCertainty;
+use crate::navigation::LocalizationUncertainty;
 use msg::{Pose2, Stamp};
 
 /// Standard deviation of the position, in its least certain direction, from which a robot returns, metres. SLAM gives a place up where the root of both
@@ -40,7 +40,7 @@ pub(super) struct RevisitInput<'a> {
     pub stamp: Stamp,
     /// Pose of the robot in its own map.
     pub robot_map_from_base: Pose2,
-    pub certainty: PlaceCertainty,
+    pub uncertainty: LocalizationUncertainty,
     /// Progress of the way back.
     pub progress: GoalProgress,
     /// What the map shows, square metres.
@@ -96,18 +96,18 @@ impl Revisits {
 
     /// Begins, continues or ends a way back, and returns where it leads.
     pub(super) fn step(&mut self, input: &RevisitInput) -> Option<Pose2> {
-        let RevisitInput { stamp: now, certainty, known_m2, .. } = *input;
-        self.remember(input.robot_map_from_base, certainty);
-        if certainty.sigma_m < CERTAIN_SIGMA_M {
+        let RevisitInput { stamp: now, uncertainty, known_m2, .. } = *input;
+        self.remember(input.robot_map_from_base, uncertainty);
+        if uncertainty.sigma_m < CERTAIN_SIGMA_M {
             (self.current, self.has_given_up) = (None, false);
             return None;
         }
         let Some(current) = &mut self.current else {
             let has_grown = !self.has_given_up && known_m2 >= self.known_m2 + GROWTH_MIN_M2;
             let from_sigma_m = if has_grown { UNCERTAIN_SIGMA_M } else { self.from_sigma_m };
-            if certainty.sigma_m >= from_sigma_m {
+            if uncertainty.sigma_m >= from_sigma_m {
                 self.from_sigma_m =
-                    if has_grown { UNCERTAIN_SIGMA_M } else { certainty.sigma_m + RETRY_SIGMA_M };
+                    if has_grown { UNCERTAIN_SIGMA_M } else { uncertainty.sigma_m + RETRY_SIGMA_M };
                 self.known_m2 = self.known_m2.max(known_m2);
                 self.begin(input, Vec::new());
             }
@@ -149,14 +149,14 @@ impl Revisits {
         });
         if self.current.is_none() {
             self.has_given_up = true;
-            self.from_sigma_m = input.certainty.sigma_m + RETRY_SIGMA_M;
+            self.from_sigma_m = input.uncertainty.sigma_m + RETRY_SIGMA_M;
         }
     }
 
     /// Remembers a place that a scan tells in every direction. If there are too many, the farthest one is forgotten.
-    fn remember(&mut self, robot_map_from_base: Pose2, certainty: PlaceCertainty) {
+    fn remember(&mut self, robot_map_from_base: Pose2, uncertainty: LocalizationUncertainty) {
         let distance = |place: &Pose2| distance_m(position_m(place), position_m(&robot_map_from_base));
-        let is_known = certainty.is_fixed_by_scan && certainty.sigma_m < KNOWN_SIGMA_M;
+        let is_known = uncertainty.is_fixed_by_scan && uncertainty.sigma_m < KNOWN_SIGMA_M;
         if !is_known || self.places.iter().any(|place| distance(place) < PLACES_APART_M) {
             return;
         }
@@ -178,8 +178,8 @@ fn position_m(pose: &Pose2) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    fn known(sigma_m: f64) -> PlaceCertainty {
-        PlaceCertainty { sigma_m, is_fixed_by_scan: true }
+    fn known(sigma_m: f64) -> LocalizationUncertainty {
+        LocalizationUncertainty { sigma_m, is_fixed_by_scan: true }
     }
 
     fn at(x_m: f64) -> Pose2 {
@@ -194,8 +194,8 @@ mod tests {
         progress: GoalProgress,
         known_m2: f64,
     ) -> RevisitInput<'static> {
-        let (robot_map_from_base, certainty) = (at(x_m), known(sigma_m));
-        RevisitInput { stamp, robot_map_from_base, certainty, progress, known_m2, is_excluded: &|_| false }
+        let (robot_map_from_base, uncertainty) = (at(x_m), known(sigma_m));
+        RevisitInput { stamp, robot_map_from_base, uncertainty, progress, known_m2, is_excluded: &|_| false }
     }
 
     /// A robot that has seen places at 0, 2, 4, 6 and 8 m.

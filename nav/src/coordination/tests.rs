@@ -49,7 +49,7 @@ fn only_free_robots_get_goals_and_the_others_tasks_pass_on() {
     let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
     coordinator.update(&input(&cells, &robots, 0.0));
     assert!(coordinator.goal(robots[1].robot).is_some());
-    for taken in [RobotAvailability::Manual, RobotAvailability::Lost, RobotAvailability::Dead] {
+    for taken in [RobotAvailability::Manual, RobotAvailability::Lost, RobotAvailability::Silent] {
         robots[1].availability = taken;
         coordinator.update(&input(&cells, &robots, 2.0));
         assert!(coordinator.goal(robots[1].robot).is_none(), "{taken:?}");

@@ -16,7 +16,7 @@ pub enum RobotAvailability {
     /// Its pose in the map is not known.
     Lost,
     /// It does not answer any more; where it stands is an obstacle.
-    Dead,
+    Silent,
 }
 
 impl RobotAvailability {

@@ -8,7 +8,7 @@ const SCAN_AGE_MAX_S: f64 = 0.5;
 
 /// How well the place of a robot in its own map is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlaceCertainty {
+pub struct LocalizationUncertainty {
     /// Standard deviation of the position in its least certain direction, metres.
     pub sigma_m: f64,
     /// Whether the newest scan tells the position in every direction.
@@ -25,7 +25,7 @@ pub struct NavigatedRobot<'a> {
     /// Where its own map lies in the merged map; `None` while it is not merged.
     pub map_from_robot_map: Option<Pose2>,
     /// How well its place in its own map is known; `None`: nobody says.
-    pub certainty: Option<PlaceCertainty>,
+    pub uncertainty: Option<LocalizationUncertainty>,
 }
 
 /// The fleet at one moment.
@@ -60,7 +60,7 @@ impl<'a> NavigatedRobot<'a> {
     /// A robot of which nothing is known.
     pub fn unknown(robot: RobotId) -> Self {
         let observation = RobotObservation::unknown(robot);
-        Self { observation, odom_from_base: None, map_from_robot_map: None, certainty: None }
+        Self { observation, odom_from_base: None, map_from_robot_map: None, uncertainty: None }
     }
 
     pub(super) fn poses(&self) -> Option<RobotPoses> {

@@ -72,7 +72,7 @@ impl Drive {
                 // The frame of the wheels lies anywhere.
                 odom_from_base: Some(Pose2::new(1.0, -2.0, 0.7) * self.world.pose(i)),
                 map_from_robot_map: None,
-                certainty: None,
+                uncertainty: None,
             })
             .collect();
         let input = NavigationInput { stamp: now, robots: &robots, exclusion_zones: &self.zones };

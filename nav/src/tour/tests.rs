@@ -37,7 +37,7 @@ fn commands_in_turn(tour: &mut ExplorationTour, seconds: f64, blind: &[usize]) -
 
 #[test]
 fn robots_take_turns_and_stop_at_the_end_of_their_turn() {
-    let config = TourConfig { turn_s: 5.0, ..Default::default() };
+    let config = TourConfig { time_slice_s: 5.0, ..Default::default() };
     let mut tour = ExplorationTour::new(config, RobotId::first(3)).unwrap();
     let commands = commands_in_turn(&mut tour, 30.0, &[]);
     let mut order: Vec<usize> = commands.iter().map(|command| command.robot.number()).collect();
@@ -52,7 +52,7 @@ fn robots_take_turns_and_stop_at_the_end_of_their_turn() {
 
 #[test]
 fn a_robot_without_scans_loses_its_turn() {
-    let config = TourConfig { turn_s: 10.0, ..Default::default() };
+    let config = TourConfig { time_slice_s: 10.0, ..Default::default() };
     let mut tour = ExplorationTour::new(config, RobotId::first(3)).unwrap();
     let commands = commands_in_turn(&mut tour, 60.0, &[2]);
     let blind: Vec<&DriveCommand> = commands.iter().filter(|command| command.robot == robot(2)).collect();
@@ -92,7 +92,7 @@ proptest! {
         limits in (number(), number()),
         (in_merged_map, at_once) in (any::<bool>(), any::<bool>()),
     ) {
-        let config = TourConfig { turn_s: 1.0, ..Default::default() };
+        let config = TourConfig { time_slice_s: 1.0, ..Default::default() };
         let mut tour = ExplorationTour::new(config, RobotId::first(2)).unwrap();
         let map = MapView::from_percent(Pose2::new(-0.7, -0.7, 0.3), 0.05, (30, 30), &cells);
         let mut commands = Vec::new();

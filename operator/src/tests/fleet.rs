@@ -1,7 +1,7 @@
 //! A bridge on a thread of its own, with a test world in place of simulators, SLAM and merging.
 
 use bridge::{Bridge, BridgeConfig, FleetMessage, RobotNames, process_clock, serve};
-use msg::{Link, LinkTransform, Pose2, RobotId, Scan, Stamp, Transforms};
+use msg::{LinkTransform, Pose2, RobotFrame, RobotId, Scan, Stamp, Transforms};
 use nav::Twist;
 use nav::test_world::{RANGE_MAX_M, RANGE_MIN_M, TestWorld, beam_angle_rad};
 use std::cell::RefCell;
@@ -106,7 +106,7 @@ fn publish_world(world: &TestWorld, bridge: &Bridge, step: u64, now: Stamp) {
 fn transforms(header: msg::Header, odom_from_base: Pose2) -> Transforms {
     let (translation_m, rotation_xyzw) = bridge::ros::write::spatial(odom_from_base);
     let mut message = Transforms { header, len: 1, ..Default::default() };
-    let (parent, child) = (Link::Odom as u32, Link::BaseFootprint as u32);
+    let (parent, child) = (RobotFrame::Odom as u32, RobotFrame::BaseFootprint as u32);
     message.links[0] = LinkTransform { parent, child, translation_m, rotation_xyzw };
     message
 }

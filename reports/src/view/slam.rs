@@ -44,7 +44,7 @@ pub struct ClosureView {
     /// Number of the newer node.
     pub newer: u32,
     /// Whether the pose graph uses it.
-    pub in_force: bool,
+    pub is_active: bool,
     /// Measured pose of the newer node in the older: x m, y m, yaw rad.
     pub older_from_newer: [f64; 3],
     /// Pose of the older node in the map: x m, y m, yaw rad.
@@ -122,7 +122,7 @@ impl<'a> SlamView<'a> {
             let [x, y, _] = c.map_from_newer;
             let nodes = format!("{} - {}", c.older, c.newer);
             let sigmas = c.chi_squared.max(0.0).sqrt();
-            let state = if c.in_force { "" } else { "  removed" };
+            let state = if c.is_active { "" } else { "  removed" };
             text += &format!(
                 "{:>6}  {nodes:>13}  {x:>8.2} {y:>8.2}  {:>8.2}  {sigmas:>8.2}{state}\n",
                 c.number, c.response
@@ -138,7 +138,7 @@ impl ClosureView {
             number: closure.number,
             older: closure.older,
             newer: closure.newer,
-            in_force: closure.in_force == 1,
+            is_active: closure.is_active == 1,
             older_from_newer: numbers(closure.older_from_newer),
             map_from_older: numbers(closure.map_from_older),
             map_from_newer: numbers(closure.map_from_newer),

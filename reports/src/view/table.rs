@@ -239,7 +239,7 @@ mod tests {
             (robot.state, robot.scans, robot.scan_hz) = (TrackingState::Tracking as u32, 100, 10.0);
         }
         stats.robots[1].state = TrackingState::Lost as u32;
-        stats.robots[2].state = TrackingState::Unreliable as u32;
+        stats.robots[2].state = TrackingState::MapUnreliable as u32;
         stats.robots[2].scan_hz = 0.0;
         (stats.robots[0].merged, stats.robots[0].map_age_s) = (1, 12.3);
         let client = |port: usize| ClientStatus {

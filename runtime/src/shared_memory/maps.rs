@@ -54,8 +54,8 @@ impl Participant {
             .map_err(failed("cannot read channel", &channel.name))?;
         let ask = self.ask_event(channel)?.notifier_builder().create();
         let ask = ask.map_err(failed("cannot ask on", &channel.name))?;
-        let (gaps, incoming) = (ReceiveCounts::default(), PatchReceiver::default());
-        Ok(MapReader { subscriber, ask, asked: Monotonic(0), gaps, incoming })
+        let (receive_counts, incoming) = (ReceiveCounts::default(), PatchReceiver::default());
+        Ok(MapReader { subscriber, ask, asked: Monotonic(0), receive_counts, incoming })
     }
 
     fn map_service(&self, channel: &Channel<PatchHeader>) -> Result<MapService, ChannelError> {
@@ -151,7 +151,7 @@ pub struct MapReader {
     subscriber: Subscriber<ipc::Service, [Shared<MapTile>], Shared<PatchHeader>>,
     ask: Notifier<ipc::Service>,
     asked: Monotonic,
-    gaps: ReceiveCounts,
+    receive_counts: ReceiveCounts,
     incoming: PatchReceiver,
 }
 
@@ -160,7 +160,7 @@ impl ReadMapPort for MapReader {
         let mut new = false;
         while let Ok(Some(sample)) = self.subscriber.receive() {
             let header = &sample.user_header().0;
-            self.gaps.count(header.header());
+            self.receive_counts.count(header.header());
             new |= self.incoming.receive(header, Shared::peel_slice(sample.payload()));
         }
         if self.incoming.needs_snapshot() && now().since(self.asked) >= MAP_REQUEST_PERIOD.as_nanos() as u64 {
@@ -174,7 +174,7 @@ impl ReadMapPort for MapReader {
         self.incoming.map()
     }
 
-    fn gaps(&self) -> ReceiveCounts {
-        self.gaps
+    fn receive_counts(&self) -> ReceiveCounts {
+        self.receive_counts
     }
 }

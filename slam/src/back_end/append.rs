@@ -38,7 +38,7 @@ impl BackEnd {
         let (a, b) = (previous.id, node.id);
         let previous_component = previous.disconnected_component;
         let map_from_node = self.graph.poses()[a as usize] * moved;
-        self.loop_closer.travelled_m += moved.x_m.hypot(moved.y_m);
+        self.loop_closures.travelled_m += moved.x_m.hypot(moved.y_m);
         self.graph.add_node(map_from_node);
         let measured = node.previous_from_this.unwrap_or(moved);
         let (kind, information) = if node.odometry_break {

@@ -48,7 +48,7 @@ impl BackEnd {
     /// broken.
     pub(super) fn check_unverified_edge(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) {
         let node = &self.nodes[id as usize];
-        if !node.fits {
+        if !node.is_tracked {
             self.unverified_edge = Some(id).filter(|_| !node.odometry_break);
         }
         let Some(unverified_edge) = self.unverified_edge else { return };
@@ -76,7 +76,7 @@ impl BackEnd {
         let mut near: Vec<(f64, u32)> = (0..unverified_edge)
             .filter(|old| *old >= not_drifted || sure(&before[*old as usize]))
             .filter(|old| {
-                self.nodes[*old as usize].fits
+                self.nodes[*old as usize].is_tracked
                     && self.nodes[*old as usize].disconnected_component == node.disconnected_component
             })
             .map(|old| (looks_at(old), old))
@@ -113,12 +113,12 @@ impl BackEnd {
 
     /// Forgets the searches for places that compare several nodes: the way between these is not known any more.
     pub(super) fn forget_searches(&mut self) {
-        self.loop_closer.detector.drop_pending();
+        self.loop_closures.detector.drop_pending();
         self.location.component_relocalizer = None;
     }
 
     /// Number of pieces that are not tied to the map.
-    pub fn disconnected_components(&self) -> usize {
+    pub fn untied_piece_count(&self) -> usize {
         // A piece is named by its first node.
         self.nodes.iter().filter(|node| node.untied_piece() == Some(node.id)).count()
     }
@@ -143,7 +143,7 @@ impl BackEnd {
             }
             id
         };
-        for edge in self.graph.edges().iter().filter(|e| e.in_force && !is_break(e)) {
+        for edge in self.graph.edges().iter().filter(|e| e.is_active && !is_break(e)) {
             let (a, b) = (first(&mut parent, edge.a), first(&mut parent, edge.b));
             parent[a.max(b) as usize] = a.min(b);
         }

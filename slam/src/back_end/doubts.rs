@@ -3,8 +3,8 @@
 
 use super::BackEnd;
 use crate::map_doubts::{
-    MapDoubts, NodeComparison, OdometryStep, PathCut, WallAgreement, contradicted_share, odometry_stretch,
-    path_cut,
+    MapDoubts, NodeComparison, OdometryStep, PathCut, WallAgreement, contradicted_share,
+    odometry_residual_sigmas, path_cut,
 };
 use crate::node::Node;
 use crate::stages::Stage;
@@ -27,7 +27,7 @@ const SUMMARY_NODES: usize = 8;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DoubtMonitor {
     /// How the nodes agree with older ones of other passes, by id; `None` where there are none.
-    pub walls: Vec<Option<NodeComparison>>,
+    pub node_comparisons: Vec<Option<NodeComparison>>,
     /// The newest node that was compared anew.
     pub cursor: usize,
     /// Places that were refused because they are farther away than the robot can have gone.
@@ -45,16 +45,16 @@ impl DoubtMonitor {
     pub fn retain_nodes(&mut self, is_kept: impl Fn(usize) -> bool) {
         let mut kept = 0;
         let new_ids: Vec<Option<u32>> =
-            (0..self.walls.len()).map(|id| is_kept(id).then(|| (kept, kept += 1).0)).collect();
+            (0..self.node_comparisons.len()).map(|id| is_kept(id).then(|| (kept, kept += 1).0)).collect();
         let renumbered = |old: Option<u32>| new_ids.get(old? as usize).copied().flatten();
         let mut id = 0;
-        self.walls.retain(|_| (is_kept(id), id += 1).0);
-        for comparison in self.walls.iter_mut().flatten() {
+        self.node_comparisons.retain(|_| (is_kept(id), id += 1).0);
+        for comparison in self.node_comparisons.iter_mut().flatten() {
             comparison.agrees_with = renumbered(comparison.agrees_with);
             comparison.contradicts = renumbered(comparison.contradicts);
         }
         self.cursor = (0..self.cursor).filter(|id| is_kept(*id)).count();
-        self.cut = path_cut(&self.walls);
+        self.cut = path_cut(&self.node_comparisons);
     }
 }
 
@@ -68,14 +68,15 @@ impl BackEnd {
     pub(super) fn update_doubts(&mut self) {
         let Some(newest) = self.nodes.len().checked_sub(1) else { return };
         self.stages.stage_started(Stage::Link);
-        let is_new = self.doubts.walls.len() <= newest;
-        self.doubts.walls.resize(newest + 1, None);
+        let is_new = self.doubts.node_comparisons.len() <= newest;
+        self.doubts.node_comparisons.resize(newest + 1, None);
         if is_new {
-            self.doubts.walls[newest] = self.compare_with_older(newest as u32);
+            self.doubts.node_comparisons[newest] = self.compare_with_older(newest as u32);
         }
         for _ in 0..RENEWED_NODES {
             self.doubts.cursor = (self.doubts.cursor + 1) % (newest + 1);
-            self.doubts.walls[self.doubts.cursor] = self.compare_with_older(self.doubts.cursor as u32);
+            self.doubts.node_comparisons[self.doubts.cursor] =
+                self.compare_with_older(self.doubts.cursor as u32);
         }
         if newest.is_multiple_of(SUMMARY_NODES) {
             self.sum_up_doubts();
@@ -84,12 +85,13 @@ impl BackEnd {
 
     /// Compares all nodes anew.
     pub(super) fn renew_doubts(&mut self) {
-        self.doubts.walls = (0..self.nodes.len() as u32).map(|id| self.compare_with_older(id)).collect();
+        self.doubts.node_comparisons =
+            (0..self.nodes.len() as u32).map(|id| self.compare_with_older(id)).collect();
         self.sum_up_doubts();
     }
 
     fn sum_up_doubts(&mut self) {
-        let cut = path_cut(&self.doubts.walls);
+        let cut = path_cut(&self.doubts.node_comparisons);
         if cut != self.doubts.cut {
             self.doubts.cut = cut;
             self.update_covariances();
@@ -97,7 +99,7 @@ impl BackEnd {
         let untied = self.nodes.iter().filter(|node| !node.is_tied()).count();
         self.doubts.current = MapDoubts {
             contradicted_share: contradicted_share(&self.walls_in_map()),
-            odometry_stretch: odometry_stretch(&self.odometry_steps()),
+            odometry_residual_sigmas: odometry_residual_sigmas(&self.odometry_steps()),
             unmeasured_motion_s: self.doubts.unmeasured_s,
             distant_relocations: self.doubts.distant_relocations,
             position_sigma_m: self.largest_position_sigma_m(),
@@ -114,7 +116,7 @@ impl BackEnd {
                 comparison.filter(|it| is_tied(id as u32) && it.contradicts.is_none_or(is_tied))?;
             Some(comparison.walls)
         };
-        self.doubts.walls.iter().enumerate().map(in_map).collect()
+        self.doubts.node_comparisons.iter().enumerate().map(in_map).collect()
     }
 
     /// Standard deviation of the map's position that is known worst, as seen from one node of the map, metres.
@@ -126,7 +128,7 @@ impl BackEnd {
     /// Compares a node with older ones of other passes that look at the same place.
     fn compare_with_older(&self, id: u32) -> Option<NodeComparison> {
         let node = &self.nodes[id as usize];
-        let is_placed = |node: &Node| node.fits && node.disconnected_component.is_none();
+        let is_placed = |node: &Node| node.is_tracked && node.disconnected_component.is_none();
         if !is_placed(node) {
             return None;
         }

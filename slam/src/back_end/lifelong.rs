@@ -136,7 +136,7 @@ impl BackEnd {
         let kept_poses = self.graph.poses().iter().enumerate().filter(|(id, _)| keep(*id)).map(|(_, p)| *p);
         let kept_edges = edges.into_iter().filter_map(|e| {
             // Retracted links are dropped; retracted closures stay listed.
-            let is_kept = e.in_force || e.kind == EdgeKind::Closure;
+            let is_kept = e.is_active || e.kind == EdgeKind::Closure;
             is_kept.then_some(Edge { a: number(e.a)?, b: number(e.b)?, ..e })
         });
         self.graph.replace_parts(kept_poses.collect(), kept_edges.collect());
@@ -151,7 +151,7 @@ impl BackEnd {
         let mut id = 0;
         self.lifelong.contradicted.retain(|_| (keep(id), id += 1).0);
         self.doubts.retain_nodes(keep);
-        self.loop_closer.renumber(&number);
+        self.loop_closures.renumber(&number);
         self.lifelong.retired += gone.len() as u64;
         self.count_closures();
         self.numbers.earlier.clear();
@@ -163,7 +163,7 @@ impl BackEnd {
 /// Replaces a node's edges by edges between its neighbours and the one that knows the node best.
 fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
     let mine: Vec<usize> =
-        (0..edges.len()).filter(|&i| edges[i].in_force && (edges[i].a == id || edges[i].b == id)).collect();
+        (0..edges.len()).filter(|&i| edges[i].is_active && (edges[i].a == id || edges[i].b == id)).collect();
     let other = |e: &Edge| if e.a == id { e.b } else { e.a };
     // Several edges to one neighbour count as one.
     let mut neighbours: Vec<(u32, Matrix3<f64>, [f64; 2], EdgeKind)> = Vec::new();
@@ -178,12 +178,12 @@ fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
     }
     neighbours.sort_by(|a, b| b.1.trace().total_cmp(&a.1.trace()).then(a.0.cmp(&b.0)));
     for &i in &mine {
-        edges[i].in_force = false;
+        edges[i].is_active = false;
     }
     let Some(&(inheritor, known, heir_variance, _)) = neighbours.first() else { return };
     for &(to, information, variance, kind) in neighbours.iter().skip(1).take(INHERITED_MAX) {
         let linked =
-            |e: &Edge| e.in_force && ((e.a == inheritor && e.b == to) || (e.a == to && e.b == inheritor));
+            |e: &Edge| e.is_active && ((e.a == inheritor && e.b == to) || (e.a == to && e.b == inheritor));
         // The order along the way is held by odometry's edges: they are always handed on.
         let along = matches!(kind, EdgeKind::Odometry | EdgeKind::OdometryBreak);
         if !along && edges.iter().any(linked) {
@@ -198,7 +198,7 @@ fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
             a_from_b: poses[a as usize].between(poses[b as usize]),
             information: (information + information.transpose()) * 0.5,
             kind: if along { kind } else { EdgeKind::Link },
-            in_force: true,
+            is_active: true,
             variance: [variance[0] + heir_variance[0], variance[1] + heir_variance[1]],
             response: 0.0,
         });

@@ -78,7 +78,7 @@ impl BackEnd {
         let l = &self.config.links;
         let (older, newer) = (&self.nodes[a as usize], &self.nodes[b as usize]);
         let enough = older.cloud.points().len().min(newer.cloud.points().len());
-        if !newer.fits
+        if !newer.is_tracked
             || older.disconnected_component != newer.disconnected_component
             || enough < self.config.tracking.points_min
             || self.linked(a, b)
@@ -87,7 +87,7 @@ impl BackEnd {
         }
         let guess = self.graph.poses()[a as usize].between(self.graph.poses()[b as usize]);
         let reference = Reference { cloud: &older.cloud, frame_from_cloud: Pose2::IDENTITY };
-        let fit = align(&newer.cloud, guess, core::iter::once(reference), None, l);
+        let fit = align(&newer.cloud, guess, core::iter::once(reference), None, &self.config.alignment);
         if fit.overlap < l.overlap_min {
             return false;
         }

@@ -6,7 +6,7 @@ use crate::config::SlamConfig;
 use crate::front_end::{FrontEndState, TrajectorySample};
 use crate::graph::{EdgeKind, Graph};
 use crate::localizer::Localizer;
-use crate::node::{FrameUncertainty, Node, Revision};
+use crate::node::{FrameUncertainty, MapFrameUpdate, Node};
 use crate::relocalize::{
     LocalFrameEstimate, MapNodes, RelocalizationCounts, RelocalizationOutcome, Relocalizer,
 };
@@ -53,7 +53,7 @@ impl BackEnd {
     ) -> Self {
         let mut back = Self::new(config.clone());
         back.graph = Graph::from_parts(config.graph.clone(), state.poses, state.edges);
-        back.loop_closer.detector = ClosureDetector::resume(config, state.detector);
+        back.loop_closures.detector = ClosureDetector::resume(config, state.detector);
         back.numbers.earlier = samples;
         back.lifelong.contradicted = vec![0; state.nodes.len()];
         back.unverified_edge = state.unverified_edge;
@@ -63,11 +63,11 @@ impl BackEnd {
         (0..back.nodes.len() as u32).for_each(|id| back.learn_odometry_noise(id));
         back.update_components();
         back.mapper.restore(&back.nodes, &state.drawn);
-        (back.loop_closer.not_found, back.loop_closer.to_retry) =
+        (back.loop_closures.not_found, back.loop_closures.to_retry) =
             (state.not_found.into(), state.to_retry.into());
-        (back.loop_closer.travelled_m, back.unsolved, back.loop_closer.rejected_closures) =
+        (back.loop_closures.travelled_m, back.unsolved, back.loop_closures.rejected_closures) =
             (state.travelled_m, state.unsolved, state.rejected_closures);
-        (back.solutions, back.loop_closer.retracted, back.lifelong.retired) =
+        (back.solutions, back.loop_closures.retracted, back.lifelong.retired) =
             (state.solutions, state.retracted, state.retired);
         back.doubts = state.doubts;
         back.count_closures();
@@ -216,7 +216,7 @@ impl BackEnd {
         }
     }
 
-    pub(super) fn revision(&self) -> Revision {
+    pub(super) fn frame_update(&self) -> MapFrameUpdate {
         let of_graph = || {
             let newest = self.nodes.last()?;
             Some(self.graph.poses()[newest.id as usize] * newest.local_from_base.inverse())
@@ -231,13 +231,13 @@ impl BackEnd {
         let soon = self.location.relocalizer.is_some()
             || self.location.localizer.is_some()
             || self.location.just_located;
-        let lag = if soon { 1 } else { self.config.graph.revision_lag_nodes };
-        Revision {
+        let lag = if soon { 1 } else { self.config.graph.frame_update_lag_nodes };
+        MapFrameUpdate {
             cause: self.numbers.newest_front,
             effective_from: self.numbers.newest_front.saturating_add(lag),
             map_from_local: map_from_local.unwrap_or_default(),
             uncertainty: self.frame_uncertainty(),
-            closures: self.loop_closer.in_force,
+            closures: self.loop_closures.active_count,
             located: map_from_local.is_some() && self.is_located(),
             unreliable: self.doubts().is_unreliable(),
         }
@@ -254,9 +254,9 @@ impl BackEnd {
         })
     }
 
-    /// The current revision, for a front end that begins.
-    pub fn latest_revision(&self) -> Revision {
-        self.revision()
+    /// The current frame update, for a front end that begins.
+    pub fn latest_frame_update(&self) -> MapFrameUpdate {
+        self.frame_update()
     }
 
     /// The back end's id of a node of the present front end; `None` if the map does not have it.

@@ -182,7 +182,7 @@ mod tests {
                 a_from_b,
                 information: information_from_sigmas(link_sigma, link_sigma),
                 kind: EdgeKind::Link,
-                in_force: true,
+                is_active: true,
                 variance: [0.0; 2],
                 response: 0.0,
             };

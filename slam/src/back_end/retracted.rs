@@ -29,15 +29,15 @@ impl BackEnd {
         let restored: Vec<usize> = (0..edges.len())
             .filter(|&index| {
                 let edge = &edges[index];
-                let is_retracted = edge.kind == EdgeKind::Closure && !edge.in_force;
+                let is_retracted = edge.kind == EdgeKind::Closure && !edge.is_active;
                 is_retracted
-                    && !self.loop_closer.was_rejected(edge)
+                    && !self.loop_closures.was_rejected(edge)
                     && new.iter().any(|it| self.agrees(edge, [it.older, it.newer], it.older_from_newer))
             })
             .collect();
         for index in restored {
-            self.graph.edge_mut(index).in_force = true;
-            self.loop_closer.retracted = self.loop_closer.retracted.saturating_sub(1);
+            self.graph.edge_mut(index).is_active = true;
+            self.loop_closures.retracted = self.loop_closures.retracted.saturating_sub(1);
         }
     }
 
@@ -55,10 +55,10 @@ impl BackEnd {
         let is_refuted = |edge: &Edge| {
             let in_map = poses[edge.a as usize].between(poses[edge.b as usize]);
             edge.kind == EdgeKind::Closure
-                && !edge.in_force
+                && !edge.is_active
                 && component(edge.a) == component(edge.b)
                 && in_map.distance_m(edge.a_from_b) > REFUTED_M
-                && !self.loop_closer.was_rejected(edge)
+                && !self.loop_closures.was_rejected(edge)
         };
         let refuted: Vec<usize> =
             (0..edges.len()).rev().filter(|index| is_refuted(&edges[*index])).take(REFUTED_MAX).collect();
@@ -79,9 +79,9 @@ impl BackEnd {
         let edges = self.graph.edges();
         let ends = |edge: &Edge| [edge.a.min(edge.b), edge.a.max(edge.b)];
         let spans: Vec<[u32; 2]> = refuted.iter().map(|index| ends(&edges[*index])).collect();
-        let in_force = edges.iter().filter(|edge| edge.kind == EdgeKind::Closure && edge.in_force);
-        let in_force: Vec<[u32; 2]> = in_force.map(ends).collect();
-        let Some(cut) = wrong_motion(&spans, &in_force) else { return };
+        let active = edges.iter().filter(|edge| edge.kind == EdgeKind::Closure && edge.is_active);
+        let active: Vec<[u32; 2]> = active.map(ends).collect();
+        let Some(cut) = wrong_motion(&spans, &active) else { return };
         if self.nodes[cut.before as usize + 1..=cut.after as usize].iter().any(|node| node.odometry_break) {
             return;
         }
@@ -90,7 +90,7 @@ impl BackEnd {
                 let edge = self.graph.edge_mut(index);
                 let [first, last] = ends(edge);
                 if edge.kind == EdgeKind::Link && (first..last).contains(&step) {
-                    edge.in_force = false;
+                    edge.is_active = false;
                 }
             }
             self.break_odometry(step + 1);
@@ -101,9 +101,9 @@ impl BackEnd {
             ClosureCandidate { older: a, newer: b, older_from_newer: a_from_b, information, response };
         self.align_components(&closure);
         for index in &refuted {
-            self.graph.edge_mut(*index).in_force = true;
+            self.graph.edge_mut(*index).is_active = true;
         }
-        self.loop_closer.retracted = self.loop_closer.retracted.saturating_sub(refuted.len() as u64);
+        self.loop_closures.retracted = self.loop_closures.retracted.saturating_sub(refuted.len() as u64);
         self.solve(true);
     }
 
@@ -119,10 +119,10 @@ impl BackEnd {
 
 /// The place in the path that all these removed closures span, and none of those in the graph: there the motion is wrong. Each closure is the
 /// first and the last node of what it spans.
-fn wrong_motion(removed: &[[u32; 2]], in_force: &[[u32; 2]]) -> Option<PathCut> {
+fn wrong_motion(removed: &[[u32; 2]], active: &[[u32; 2]]) -> Option<PathCut> {
     let first = removed.iter().map(|[first, _]| *first).max()?;
     let last = removed.iter().map(|[_, last]| *last).min()?;
-    let is_confirmed = |step: u32| in_force.iter().any(|[first, last]| (*first..*last).contains(&step));
+    let is_confirmed = |step: u32| active.iter().any(|[first, last]| (*first..*last).contains(&step));
     let before = (first..last).find(|step| !is_confirmed(*step))?;
     let after = (first..last).rfind(|step| !is_confirmed(*step))? + 1;
     Some(PathCut { before, after })

@@ -67,8 +67,8 @@ impl BackEnd {
     }
 
     /// The node whose pose in the map is certain: covariances are as seen from it.
-    pub fn covariances_seen_from(&self) -> u32 {
-        self.graph.covariances_seen_from()
+    pub fn covariance_reference_node(&self) -> u32 {
+        self.graph.covariance_reference_node()
     }
 
     /// Judges the newest node by its covariance.
@@ -115,7 +115,7 @@ mod tests {
         let pieces = |back: &BackEnd| back.nodes.iter().map(|node| node.uncertain_piece).collect::<Vec<_>>();
         assert!(pieces(&back)[..20].iter().all(|piece| *piece == Some(0)), "{:?}", pieces(&back));
         assert!(pieces(&back)[20..].iter().all(Option::is_none), "{:?}", pieces(&back));
-        assert_eq!((back.covariances_seen_from(), back.disconnected_components()), (20, 1));
+        assert_eq!((back.covariance_reference_node(), back.untied_piece_count()), (20, 1));
         assert_eq!(back.counts().untied, 20);
         let closure = Pose2::new(30.0, 0.0, 0.0);
         let information = information_from_sigmas(0.02, 0.003);

@@ -1,7 +1,7 @@
 //! Closures that people inspect and undo.
 
 use super::BackEnd;
-use super::loop_closer::{REJECTED_M, REJECTED_NODES, REJECTED_RAD};
+use super::loop_closures::{REJECTED_M, REJECTED_NODES, REJECTED_RAD};
 use crate::graph::{Edge, EdgeKind};
 use msg::{Pose2, pose::wrap_angle};
 
@@ -17,7 +17,7 @@ pub struct ClosureReport {
     /// The later node.
     pub newer: u32,
     /// Whether the closure is active; false after it was retracted.
-    pub in_force: bool,
+    pub is_active: bool,
     /// The later node as seen from the earlier one, as measured.
     pub older_from_newer: Pose2,
     /// The map from both.
@@ -36,7 +36,7 @@ impl BackEnd {
             number: number as u32,
             older: edge.a,
             newer: edge.b,
-            in_force: edge.in_force,
+            is_active: edge.is_active,
             older_from_newer: edge.a_from_b,
             poses: [edge.a, edge.b].map(|id| self.graph.poses()[id as usize]),
             response: edge.response,
@@ -49,9 +49,9 @@ impl BackEnd {
     pub fn undo_closure(&mut self, number: u32) -> bool {
         let is_closure = |(_, e): &(usize, &Edge)| e.kind == EdgeKind::Closure;
         let found = self.graph.edges().iter().enumerate().filter(is_closure).nth(number as usize);
-        let Some((index, edge)) = found.filter(|(_, e)| e.in_force) else { return false };
+        let Some((index, edge)) = found.filter(|(_, e)| e.is_active) else { return false };
         let wrong = *edge;
-        // A closure is found together with its witnesses: they say the same and fall with it.
+        // A closure is found together with those that confirm it: they say the same and fall with it.
         let same = |e: &Edge| {
             let near = e.a.abs_diff(wrong.a) <= REJECTED_NODES && e.b.abs_diff(wrong.b) <= REJECTED_NODES;
             e.kind == EdgeKind::Closure && near && self.agree(e, &wrong)
@@ -66,7 +66,7 @@ impl BackEnd {
     pub fn clear_closures(&mut self) -> usize {
         let edges = self.graph.edges();
         let closures: Vec<usize> =
-            (0..edges.len()).filter(|&i| edges[i].in_force && edges[i].kind == EdgeKind::Closure).collect();
+            (0..edges.len()).filter(|&i| edges[i].is_active && edges[i].kind == EdgeKind::Closure).collect();
         let count = closures.len();
         if count > 0 {
             self.retract(&closures);
@@ -86,18 +86,18 @@ impl BackEnd {
         let first = closures.iter().copied().min().unwrap_or(0);
         for &index in closures {
             let edge = self.graph.edge_mut(index);
-            edge.in_force = false;
-            self.loop_closer.reject(edge);
+            edge.is_active = false;
+            self.loop_closures.reject(edge);
         }
         let between_passes: Vec<usize> = (first..self.graph.edges().len())
             .filter(|&i| {
                 let e = &self.graph.edges()[i];
-                e.in_force && e.kind == EdgeKind::Link && e.a.abs_diff(e.b) > PASS_NODES
+                e.is_active && e.kind == EdgeKind::Link && e.a.abs_diff(e.b) > PASS_NODES
             })
             .collect();
         let mut again: Vec<u32> = between_passes.iter().map(|&i| self.graph.edges()[i].b).collect();
         for index in between_passes {
-            self.graph.edge_mut(index).in_force = false;
+            self.graph.edge_mut(index).is_active = false;
         }
         self.solve(true);
         again.sort_unstable();

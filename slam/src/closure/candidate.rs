@@ -37,7 +37,7 @@ pub struct ClosureSearchCounts {
     /// Searches of a place, whatever their result.
     pub searches: u64,
     /// Searches in which no pose reached the least score.
-    pub no_response: u64,
+    pub below_min_response: u64,
     /// Searches in which two places looked alike, or that stopped at a limit.
     pub ambiguous: u64,
     /// Searches whose alignment overlapped too little, moved too far or contradicted scans.

@@ -29,7 +29,9 @@ pub(super) fn is_consistent(
 ) -> bool {
     let [a, b] = [closure.older, closure.newer].map(|id| graph.poses()[id as usize]);
     let drift = [links.drift_m_per_m, links.drift_rad_per_m];
-    let Some(way) = graph.relative_covariance(closure.older, closure.newer, drift) else { return true };
+    let Some(path_covariance) = graph.relative_covariance(closure.older, closure.newer, drift) else {
+        return true;
+    };
     let information =
         limit_information(closure.information, [links.sigma_min_m, links.sigma_min_rad], UNOBSERVED);
     let Some(measured) = information.try_inverse() else { return true };
@@ -37,7 +39,7 @@ pub(super) fn is_consistent(
     let error = Vector3::new(found.x_m - b.x_m, found.y_m - b.y_m, wrap_angle(found.yaw_rad - b.yaw_rad));
     let RelativeUncertainty { bias_m, bias_rad, .. } = known.unwrap_or_default();
     let bias = Vector3::new(bias_m, bias_m, bias_rad).map(|sigma| sigma * sigma);
-    let covariance = way + Matrix3::from_diagonal(&bias) + turn_covariance(measured, a.yaw_rad);
+    let covariance = path_covariance + Matrix3::from_diagonal(&bias) + turn_covariance(measured, a.yaw_rad);
     let most = if bias_m > 0.0 { CHI_SQUARED_REPEATING_MAX } else { CHI_SQUARED_MAX };
     covariance.try_inverse().is_none_or(|inverse| (error.transpose() * inverse * error)[0] < most)
 }

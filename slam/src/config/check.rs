@@ -49,10 +49,10 @@ impl SlamConfig {
         between("tracking.points_min", tracking.points_min as f64, 1.0, 4096.0, "1 to 4096")?;
         between("links.sequential", self.links.sequential as f64, 1.0, 64.0, "1 to 64")?;
         between("links.near", self.links.near as f64, 0.0, 64.0, "0 to 64")?;
-        between("links.gate_wide_m", self.links.gate_wide_m.into(), 0.01, 0.5, "0.01 to 0.5 m")?;
-        between("links.gate_narrow_m", self.links.gate_narrow_m.into(), 0.01, 0.5, "0.01 to 0.5 m")?;
+        between("alignment.gate_wide_m", self.alignment.gate_wide_m.into(), 0.01, 0.5, "0.01 to 0.5 m")?;
+        between("alignment.gate_narrow_m", self.alignment.gate_narrow_m.into(), 0.01, 0.5, "0.01 to 0.5 m")?;
         between("links.point_landmark_weight", self.links.point_landmark_weight, 0.0, 1.0, "0 to 1")?;
-        between("links.point_sigma_m", self.links.point_sigma_m, 1e-4, 1.0, "0.0001 to 1 m")?;
+        between("alignment.point_sigma_m", self.alignment.point_sigma_m, 1e-4, 1.0, "0.0001 to 1 m")?;
         between("closures.window_max_m", self.closures.window_max_m, 0.1, 50.0, "0.1 to 50 m")?;
         between("closures.query_nodes", self.closures.query_nodes as f64, 1.0, 100.0, "1 to 100")?;
         between("closures.chain_nodes", self.closures.chain_nodes as f64, 1.0, 200.0, "1 to 200")?;
@@ -61,8 +61,8 @@ impl SlamConfig {
         between("graph.trajectory_max", trajectory_max, 0.0, 1e7, "0 to 10 000 000")?;
         between("graph.cauchy_sigmas", self.graph.cauchy_sigmas, 0.1, 1e6, "0.1 to 1 000 000")?;
         between("map.resolution_m", map.resolution_m, 0.01, 1.0, "0.01 to 1 m")?;
-        between("map.hit", map.hit, 0.05, 6.0, "0.05 to 6 (natural log-odds)")?;
-        between("map.miss", map.miss, 0.05, 6.0, "0.05 to 6 (natural log-odds)")?;
+        between("map.hit_log_odds", map.hit_log_odds, 0.05, 6.0, "0.05 to 6 (natural log-odds)")?;
+        between("map.miss_log_odds", map.miss_log_odds, 0.05, 6.0, "0.05 to 6 (natural log-odds)")?;
         between("map.robot_radius_m", map.robot_radius_m, 0.0, 2.0, "0 to 2 m")?;
         let (r, l) = (&self.relocalize, &self.lifelong);
         between("relocalize.places_max", r.places_max as f64, 1.0, 100.0, "1 to 100")?;
@@ -85,12 +85,12 @@ impl SlamConfig {
             ("links.overlap_min", links.overlap_min.into()),
             ("links.agreement_min", links.agreement_min.into()),
             ("closures.response_min", closures.response_min.into()),
-            ("closures.rival_max", closures.rival_max.into()),
+            ("closures.ambiguity_ratio_max", closures.ambiguity_ratio_max.into()),
             ("closures.agreement_min", closures.agreement_min.into()),
             ("closures.overlap_min", closures.overlap_min.into()),
             ("graph.new_share", self.graph.new_share),
             ("relocalize.response_min", relocalize.response_min.into()),
-            ("relocalize.rival_share", relocalize.rival_share.into()),
+            ("relocalize.candidate_ratio_min", relocalize.candidate_ratio_min.into()),
             ("relocalize.overlap_min", relocalize.overlap_min.into()),
             ("relocalize.agreement_min", relocalize.agreement_min.into()),
             ("lifelong.contradicted_share", self.lifelong.contradicted_share.into()),
@@ -114,7 +114,7 @@ impl SlamConfig {
             ("closures.travel_m", closures.travel_m),
             ("map.clear_without_return_m", self.map.clear_without_return_m.into()),
             ("map.redraw_m", self.map.redraw_m),
-            ("relocalize.apart_m", relocalize.apart_m),
+            ("relocalize.confirmation_distance_m", relocalize.confirmation_distance_m),
             ("relocalize.travel_m", relocalize.travel_m),
             ("lifelong.view_m", lifelong.view_m),
             ("lifelong.view_rad", lifelong.view_rad),
@@ -126,7 +126,7 @@ impl SlamConfig {
             ("links.distance_max_m", links.distance_max_m),
             ("links.sigma_max_m", links.sigma_max_m),
             ("links.sigma_max_rad", links.sigma_max_rad),
-            ("links.cauchy_m", links.cauchy_m),
+            ("alignment.cauchy_m", self.alignment.cauchy_m),
             ("links.sigma_min_m", links.sigma_min_m),
             ("links.sigma_min_rad", links.sigma_min_rad),
             ("closures.window_max_rad", closures.window_max_rad),
@@ -150,11 +150,11 @@ impl SlamConfig {
         let counts = [
             ("tracking.lost_scans_max", f64::from(self.tracking.lost_scans_max)),
             ("closures.query_points_max", self.closures.query_points_max as f64),
-            ("closures.witnesses", self.closures.witnesses as f64),
+            ("closures.confirmations_min", self.closures.confirmations_min as f64),
             ("closures.evaluations_max", self.closures.evaluations_max as f64),
             ("graph.iterations_max", self.graph.iterations_max as f64),
-            ("graph.revision_lag_nodes", f64::from(self.graph.revision_lag_nodes)),
-            ("relocalize.witnesses", self.relocalize.witnesses as f64),
+            ("graph.frame_update_lag_nodes", f64::from(self.graph.frame_update_lag_nodes)),
+            ("relocalize.confirmations_min", self.relocalize.confirmations_min as f64),
             ("relocalize.estimate_nodes_max", self.relocalize.estimate_nodes_max as f64),
             ("lifelong.contradictions", f64::from(self.lifelong.contradictions)),
         ];

@@ -1,20 +1,20 @@
 //! The default configuration: one for all robots, 90° and 360° LiDARs, dense and thinned logs alike.
 
 use super::{
-    ClosureConfig, GraphConfig, LidarConfig, LifelongConfig, LinkConfig, MapConfig, OdometryConfig,
-    RelocalizeConfig, TrackingConfig,
+    AlignmentConfig, ClosureConfig, GraphConfig, LidarConfig, LifelongConfig, LinkConfig, MapConfig,
+    OdometryConfig, RelocalizeConfig, TrackingConfig,
 };
 
 impl Default for RelocalizeConfig {
     fn default() -> Self {
         Self {
             response_min: 0.55,
-            rival_share: 0.85,
+            candidate_ratio_min: 0.85,
             places_max: 12,
             overlap_min: 0.65,
             agreement_min: 0.93,
-            witnesses: 3,
-            apart_m: 1.0,
+            confirmations_min: 3,
+            confirmation_distance_m: 1.0,
             travel_m: 0.5,
             agree_m: 0.25,
             agree_rad: 0.08,
@@ -85,6 +85,12 @@ impl Default for TrackingConfig {
     }
 }
 
+impl Default for AlignmentConfig {
+    fn default() -> Self {
+        Self { gate_wide_m: 0.3, gate_narrow_m: 0.12, cauchy_m: 0.04, point_sigma_m: 0.03 }
+    }
+}
+
 impl Default for LinkConfig {
     fn default() -> Self {
         Self {
@@ -95,10 +101,6 @@ impl Default for LinkConfig {
             sigma_max_rad: 0.06,
             overlap_min: 0.35,
             agreement_min: 0.85,
-            gate_wide_m: 0.3,
-            gate_narrow_m: 0.12,
-            cauchy_m: 0.04,
-            point_sigma_m: 0.03,
             point_landmark_weight: 0.02,
             sigma_min_m: 0.01,
             sigma_min_rad: 0.003,
@@ -123,10 +125,10 @@ impl Default for ClosureConfig {
             query_nodes: 16,
             query_points_max: 350,
             response_min: 0.5,
-            rival_max: 0.9,
+            ambiguity_ratio_max: 0.9,
             agreement_min: 0.9,
             overlap_min: 0.5,
-            witnesses: 2,
+            confirmations_min: 2,
             agree_m: 0.25,
             agree_rad: 0.08,
             evaluations_max: 60_000,
@@ -145,7 +147,7 @@ impl Default for GraphConfig {
             new_share: 0.1,
             bias_rad_per_m: 0.0005,
             retract_sigmas: 6.0,
-            revision_lag_nodes: 4,
+            frame_update_lag_nodes: 4,
         }
     }
 }
@@ -154,8 +156,8 @@ impl Default for MapConfig {
     fn default() -> Self {
         Self {
             resolution_m: 0.05,
-            hit: 0.85,
-            miss: 0.4,
+            hit_log_odds: 0.85,
+            miss_log_odds: 0.4,
             range_max_m: 25.0,
             clear_without_return_m: 4.0,
             redraw_m: 0.025,

@@ -71,7 +71,7 @@ impl FrontEnd {
             self.stages.stage_started(Stage::Cloud);
             let cloud = self.scan_buffers.cloud(scan, &beam_poses, &self.config);
             let pose = self.match_cloud(&cloud, prediction);
-            let lost = !pose.fits || pose.state == TrackingState::Starting;
+            let lost = !pose.is_tracked || pose.state == TrackingState::Starting;
             if lost || pass == PASSES {
                 return (beam_poses, cloud, pose);
             }

@@ -1,29 +1,29 @@
-//! Pose of the front end's frame in the map, updated by the back end's revisions.
+//! Pose of the front end's frame in the map, updated by the back end's frame updates.
 
 use crate::graph::{carry_covariance, turn_covariance};
-use crate::node::{FrameUncertainty, Revision};
+use crate::node::{FrameUncertainty, MapFrameUpdate};
 use msg::Pose2;
 use nalgebra::Matrix3;
 use std::collections::VecDeque;
 
-/// Revisions that may wait for their node; beyond them the oldest is dropped, which a newer one replaces anyway.
-const REVISIONS_MAX: usize = 64;
+/// Frame updates that may wait for their node; beyond them the oldest is dropped, which a newer one replaces anyway.
+const FRAME_UPDATES_MAX: usize = 64;
 
-/// Pose of the front end's frame in the map, and the revisions that will change it.
+/// Pose of the front end's frame in the map, and the frame updates that will change it.
 pub(super) struct LocalFrameInMap {
     pub map_from_local: Pose2,
     /// How well it is known.
     pub uncertainty: FrameUncertainty,
     /// Whether `map_from_local` is known: whether the robot is located in its map.
     pub is_located: bool,
-    /// The newest node whose odometry edge is broken: revisions caused by older nodes do not locate the robot.
+    /// The newest node whose odometry edge is broken: frame updates caused by older nodes do not locate the robot.
     pub last_break: Option<u32>,
     /// Whether there is evidence that the map is wrong, as last reported.
     pub is_unreliable: bool,
     /// Number of active closures, as last reported.
     pub closures: u32,
-    /// Revisions that take effect with a later node, oldest first.
-    pub revisions: VecDeque<Revision>,
+    /// Frame updates that take effect with a later node, oldest first.
+    pub frame_updates: VecDeque<MapFrameUpdate>,
 }
 
 impl LocalFrameInMap {
@@ -35,7 +35,7 @@ impl LocalFrameInMap {
             last_break: None,
             is_unreliable: false,
             closures: 0,
-            revisions: VecDeque::with_capacity(REVISIONS_MAX),
+            frame_updates: VecDeque::with_capacity(FRAME_UPDATES_MAX),
         }
     }
 
@@ -45,7 +45,7 @@ impl LocalFrameInMap {
         self.last_break = None;
         self.map_from_local = map_from_local.unwrap_or(self.map_from_local);
         self.uncertainty = FrameUncertainty::default();
-        self.revisions.clear();
+        self.frame_updates.clear();
     }
 
     /// Records an odometry break at a node: from there on the robot is not located in its map.
@@ -62,40 +62,40 @@ impl LocalFrameInMap {
         carry_covariance(covariance, moved) + turn_covariance(local, self.map_from_local.yaw_rad)
     }
 
-    pub fn add_revision(&mut self, revision: Revision) {
-        if self.revisions.len() == REVISIONS_MAX {
-            self.revisions.pop_front();
+    pub fn add_frame_update(&mut self, frame_update: MapFrameUpdate) {
+        if self.frame_updates.len() == FRAME_UPDATES_MAX {
+            self.frame_updates.pop_front();
         }
-        self.revisions.push_back(revision);
+        self.frame_updates.push_back(frame_update);
     }
 
-    /// Applies the newest revision that is due with this node; those before it are out of date.
-    pub fn apply_revisions(&mut self, node: u32) {
-        let Some(due) = self.revisions.iter().rposition(|r| r.effective_from <= node) else { return };
-        let due = self.revisions.drain(..=due).next_back();
-        due.into_iter().for_each(|revision| self.apply(revision));
+    /// Applies the newest frame update that is due with this node; those before it are out of date.
+    pub fn apply_frame_updates(&mut self, node: u32) {
+        let Some(due) = self.frame_updates.iter().rposition(|r| r.effective_from <= node) else { return };
+        let due = self.frame_updates.drain(..=due).next_back();
+        due.into_iter().for_each(|frame_update| self.apply(frame_update));
     }
 
-    /// Applies a revision at once, in the place of those that wait.
-    pub fn replace_revisions(&mut self, revision: Revision) {
-        self.revisions.clear();
-        self.apply(revision);
+    /// Applies a frame update at once, in the place of those that wait.
+    pub fn replace_frame_updates(&mut self, frame_update: MapFrameUpdate) {
+        self.frame_updates.clear();
+        self.apply(frame_update);
     }
 
-    fn apply(&mut self, revision: Revision) {
-        self.map_from_local = revision.map_from_local;
-        self.is_located = revision.located && self.last_break.is_none_or(|at| revision.cause >= at);
-        self.apply_quality(revision);
+    fn apply(&mut self, frame_update: MapFrameUpdate) {
+        self.map_from_local = frame_update.map_from_local;
+        self.is_located = frame_update.located && self.last_break.is_none_or(|at| frame_update.cause >= at);
+        self.apply_quality(frame_update);
     }
 
-    /// Takes over how good a revision's map and its pose are, and not where the robot is.
-    pub fn apply_quality(&mut self, revision: Revision) {
-        self.uncertainty = revision.uncertainty;
-        self.is_unreliable = revision.unreliable;
-        self.closures = revision.closures;
+    /// Takes over how good a frame update's map and its pose are, and not where the robot is.
+    pub fn apply_quality(&mut self, frame_update: MapFrameUpdate) {
+        self.uncertainty = frame_update.uncertainty;
+        self.is_unreliable = frame_update.unreliable;
+        self.closures = frame_update.closures;
     }
 
-    pub fn restore_revisions(&mut self, revisions: Vec<Revision>) {
-        self.revisions.extend(revisions.into_iter().take(REVISIONS_MAX));
+    pub fn restore_frame_updates(&mut self, frame_updates: Vec<MapFrameUpdate>) {
+        self.frame_updates.extend(frame_updates.into_iter().take(FRAME_UPDATES_MAX));
     }
 }

@@ -41,7 +41,7 @@ pub(super) struct PosePrediction {
     /// Distance from there, metres.
     distance_m: f64,
     /// Whether it may be given out without a match: odometry measured the motion since the newest reference, and the LiDAR works.
-    pub is_valid_unmatched: bool,
+    pub allows_dead_reckoning: bool,
 }
 
 impl PosePrediction {
@@ -81,14 +81,14 @@ impl FrontEnd {
         if self.matcher.newest_saw_nothing(&self.config.tracking) {
             prediction = prediction.with_error_of_reference();
         }
-        prediction.is_valid_unmatched &= lidar_works(scan);
+        prediction.allows_dead_reckoning &= lidar_works(scan);
         prediction
     }
 
     /// Odometry that slipped, or that is back after it was missing, counts from the matched pose.
     pub(super) fn rebase_odometry(&mut self, pose: &TrackedPose, continuous_from_base: Option<Pose2>) {
         let Some((newest, odom)) = self.matcher.references.back().zip(continuous_from_base) else { return };
-        let is_back = self.motion.node_continuous_from_base.is_none() && pose.fits;
+        let is_back = self.motion.node_continuous_from_base.is_none() && pose.is_tracked;
         if pose.slipped || is_back {
             self.motion.rebase_odometry(newest, pose.local_from_base, odom);
             self.counts.slips += u64::from(pose.slipped);
@@ -107,7 +107,7 @@ impl FrontEnd {
             self.nodes.unmeasured_s = 0.0;
             return;
         }
-        let leaves_open = pose.state == TrackingState::Lost || pose.open_sigma_m > UNMEASURED_SIGMA_M;
+        let leaves_open = pose.state == TrackingState::Lost || pose.position_sigma_max_m > UNMEASURED_SIGMA_M;
         if let (true, Some(last)) = (leaves_open, self.motion.last.as_ref()) {
             self.nodes.unmeasured_s += (stamp - last.stamp) as f32;
         }
@@ -156,7 +156,7 @@ impl MotionModel {
                 sigma_rad: 0.0,
                 start_covariance: Matrix3::zeros(),
                 distance_m: 0.0,
-                is_valid_unmatched: false,
+                allows_dead_reckoning: false,
             };
         };
         let interval_s = stamp - last.stamp;
@@ -180,7 +180,7 @@ impl MotionModel {
                     + config.sigma_rad_per_m * distance_m,
                 start_covariance: self.node_covariance,
                 distance_m,
-                is_valid_unmatched: true,
+                allows_dead_reckoning: true,
             };
         }
         let motion = last.motion.filter(|_| interval_s < CONSTANT_MOTION_MAX_S);
@@ -192,7 +192,7 @@ impl MotionModel {
             sigma_rad: SPEED_SIGMA_SHARE * config.turn_max_rad_s * interval_s + config.sigma_rad,
             start_covariance: last.covariance,
             distance_m: step.x_m.hypot(step.y_m),
-            is_valid_unmatched: false,
+            allows_dead_reckoning: false,
         }
     }
 

@@ -15,7 +15,7 @@ pub(super) struct NodeBuilder {
     /// Id of the newest node sent to the back end, and its pose in the front end's frame.
     pub published: Option<(u32, Pose2)>,
     /// Odometry from that node to the newest reference scan.
-    pub sent_from_newest: Option<Pose2>,
+    pub published_from_newest: Option<Pose2>,
     /// Scans in a row that did not fit.
     pub lost_in_row: u32,
     /// Whether the last scan did not fit.
@@ -33,7 +33,7 @@ impl NodeBuilder {
         Self {
             next_node: 0,
             published: None,
-            sent_from_newest: Some(Pose2::IDENTITY),
+            published_from_newest: Some(Pose2::IDENTITY),
             lost_in_row: 0,
             last_scan_lost: false,
             requested: false,
@@ -51,7 +51,7 @@ impl NodeBuilder {
         newest: Option<&Node>,
         config: &TrackingConfig,
     ) -> bool {
-        self.last_scan_lost = !pose.fits;
+        self.last_scan_lost = !pose.is_tracked;
         if self.last_scan_lost {
             // A scan that sees nothing is no reason to give up the local map.
             let blind = points < config.points_min;
@@ -73,7 +73,7 @@ impl NodeBuilder {
     pub fn publish(&mut self, node: Node, keep_path: bool) -> Node {
         self.next_node += 1;
         self.published = Some((node.id, node.local_from_base));
-        self.sent_from_newest = Some(Pose2::IDENTITY);
+        self.published_from_newest = Some(Pose2::IDENTITY);
         let unmeasured_s = core::mem::take(&mut self.unmeasured_s);
         let path = core::mem::take(&mut self.swept_path);
         let swept_path = if keep_path { path.seen_from(node.local_from_base) } else { SweptPath::default() };

@@ -79,17 +79,17 @@ impl FrontEnd {
         *match rejection {
             ScanRejection::StampRepeated => &mut self.counts.stamp_repeated,
             ScanRejection::StampWentBack => &mut self.counts.stamp_went_back,
-            ScanRejection::BeamCount => &mut self.counts.beam_count,
-            ScanRejection::Geometry => &mut self.counts.geometry,
+            ScanRejection::BeamCount => &mut self.counts.rejected_beam_count,
+            ScanRejection::Geometry => &mut self.counts.rejected_geometry,
         } += 1;
         let last = self.motion.last;
         let pose = TrackedPose {
             local_from_base: last.map_or(Pose2::IDENTITY, |l| l.local_from_base),
             covariance: last.map_or(unknown_pose_covariance(), |l| l.covariance),
             state: if last.is_some() { TrackingState::Lost } else { TrackingState::Starting },
-            fits: false,
+            is_tracked: false,
             slipped: false,
-            open_sigma_m: f64::INFINITY,
+            position_sigma_max_m: f64::INFINITY,
         };
         let correction = self.correction(scan, &pose, None);
         ScanResult {

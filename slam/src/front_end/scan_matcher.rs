@@ -48,11 +48,11 @@ pub(super) struct TrackedPose {
     pub covariance: Matrix3<f64>,
     pub state: TrackingState,
     /// Whether the scan fits the local map, or sees nothing that could fit.
-    pub fits: bool,
+    pub is_tracked: bool,
     /// Whether the scan clearly contradicts odometry.
     pub slipped: bool,
     /// Standard deviation in the direction that the scan leaves open most, metres; infinite if it fits nothing.
-    pub open_sigma_m: f64,
+    pub position_sigma_max_m: f64,
 }
 
 /// Surfaces of some newest nodes as a field to search in.
@@ -108,17 +108,17 @@ impl ScanMatcher {
             local_from_base: prediction.pose,
             covariance: prediction.covariance(),
             state: TrackingState::Lost,
-            fits: false,
+            is_tracked: false,
             slipped: false,
-            open_sigma_m: f64::INFINITY,
+            position_sigma_max_m: f64::INFINITY,
         };
         if self.references.is_empty() {
             let state = TrackingState::Starting;
-            return TrackedPose { state, fits: true, open_sigma_m: 0.0, ..predicted };
+            return TrackedPose { state, is_tracked: true, position_sigma_max_m: 0.0, ..predicted };
         }
         if cloud.points().len() < config.tracking.points_min {
             let state = state_by_odometry(prediction);
-            return TrackedPose { state, fits: state != TrackingState::Lost, ..predicted };
+            return TrackedPose { state, is_tracked: state != TrackingState::Lost, ..predicted };
         }
         let half = [WINDOW_SIGMAS * prediction.sigma_m, WINDOW_SIGMAS * prediction.sigma_rad];
         let narrow = half[0] <= SEARCH_MIN_M && half[1] <= SEARCH_MIN_RAD;
@@ -177,9 +177,9 @@ impl ScanMatcher {
             .map(|node| Reference { cloud: &node.cloud, frame_from_cloud: node.local_from_base });
         let information = Matrix3::from_diagonal(&prediction.variances().map(|variance| 1.0 / variance));
         let prior = Prior { pose: prediction.pose, information };
-        let fit = align(cloud, guess, references.clone(), Some(prior), &config.links);
+        let fit = align(cloud, guess, references.clone(), Some(prior), &config.alignment);
         let without_prior = contradicts_odometry(&fit, prediction)
-            .then(|| align(cloud, fit.frame_from_cloud, references.clone(), None, &config.links))
+            .then(|| align(cloud, fit.frame_from_cloud, references.clone(), None, &config.alignment))
             .filter(|free| {
                 free.overlap >= SLIP_OVERLAP_MIN
                     && largest_sigma_m(&free.information).is_some_and(|m| m < SLIP_SIGMA_MAX_M)
@@ -191,11 +191,18 @@ impl ScanMatcher {
         }
         let floor = Matrix3::from_diagonal(&Vector3::from(COVARIANCE_FLOOR));
         let covariance = (fit.information_without_noise + information).try_inverse()? + floor;
-        let open_sigma_m = largest_sigma_m(&fit.information_without_noise)?;
-        let degenerate = open_sigma_m > config.tracking.degenerate_sigma_m;
+        let position_sigma_max_m = largest_sigma_m(&fit.information_without_noise)?;
+        let degenerate = position_sigma_max_m > config.tracking.degenerate_sigma_m;
         let state = if degenerate { TrackingState::Degenerate } else { TrackingState::Tracking };
         let local_from_base = fit.frame_from_cloud;
-        Some(TrackedPose { local_from_base, covariance, state, fits: true, slipped, open_sigma_m })
+        Some(TrackedPose {
+            local_from_base,
+            covariance,
+            state,
+            is_tracked: true,
+            slipped,
+            position_sigma_max_m,
+        })
     }
 
     /// Whether a scan placed here and the reference scans see through what the other one saw, so that the
@@ -276,7 +283,7 @@ fn state_by_odometry(prediction: &PosePrediction) -> TrackingState {
     let covariance = prediction.covariance();
     let position = covariance.fixed_view::<2, 2>(0, 0).into_owned();
     let sigma_m = position.symmetric_eigenvalues().max().sqrt();
-    if prediction.is_valid_unmatched && sigma_m < OPEN_FLOOR_SIGMA_MAX_M {
+    if prediction.allows_dead_reckoning && sigma_m < OPEN_FLOOR_SIGMA_MAX_M {
         TrackingState::Degenerate
     } else {
         TrackingState::Lost

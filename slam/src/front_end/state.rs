@@ -4,7 +4,7 @@ use super::motion::MotionModel;
 use super::node_builder::NodeBuilder;
 use super::{FrontEnd, FrontEndCounts, LastScan};
 use crate::config::SlamConfig;
-use crate::node::{Node, Revision, SweptPath};
+use crate::node::{MapFrameUpdate, Node, SweptPath};
 use crate::odometry::OdometryBuffer;
 use msg::{Odometry, Pose2};
 use nalgebra::Matrix3;
@@ -24,14 +24,14 @@ pub struct FrontEndState {
     pub lost_in_row: u32,
     /// Whether the last scan did not fit.
     pub last_scan_lost: bool,
-    /// Number of active closures, by the last revision.
+    /// Number of active closures, by the last frame update.
     pub closures: u32,
     /// Whether the robot is located, so that `map_from_local` is valid.
     pub located: bool,
     /// Pose of the front end's frame in the loop-closed map.
     pub map_from_local: Pose2,
     /// Odometry from the newest published node to the newest reference scan; `None` if unknown.
-    pub sent_from_newest: Option<Pose2>,
+    pub published_from_newest: Option<Pose2>,
     /// Pose by odometry at the newest reference scan; `None` if unknown.
     pub node_continuous_from_base: Option<Pose2>,
     /// Covariance over (x, y, yaw) of the newest reference scan's pose.
@@ -43,8 +43,8 @@ pub struct FrontEndState {
     pub last: Option<LastScan>,
     /// Counts of scans by what became of them.
     pub counts: FrontEndCounts,
-    /// Revisions that take effect with a later node, oldest first.
-    pub waiting: Vec<Revision>,
+    /// Frame updates that take effect with a later node, oldest first.
+    pub waiting: Vec<MapFrameUpdate>,
     /// The newest odometry messages, in the continuous frame.
     pub odometry: Vec<Odometry>,
     /// Pose of the odometry frame in the continuous frame, which does not jump when the writer restarts.
@@ -75,14 +75,14 @@ impl FrontEnd {
         front.nodes = NodeBuilder {
             next_node: state.next_node,
             published: newest.last().map(|node| (state.next_node.saturating_sub(1), node.local_from_base)),
-            sent_from_newest: state.sent_from_newest,
+            published_from_newest: state.published_from_newest,
             lost_in_row: state.lost_in_row,
             last_scan_lost: state.last_scan_lost,
             requested: false,
             unmeasured_s: 0.0,
             swept_path: state.swept_path,
         };
-        front.frame.restore_revisions(state.waiting);
+        front.frame.restore_frame_updates(state.waiting);
         front.frame.map_from_local = state.map_from_local;
         front.frame.is_located = state.located;
         front.frame.last_break = state.last_break;
@@ -106,13 +106,13 @@ impl FrontEnd {
             closures: self.frame.closures,
             located: self.frame.is_located,
             map_from_local: self.frame.map_from_local,
-            sent_from_newest: self.nodes.sent_from_newest,
+            published_from_newest: self.nodes.published_from_newest,
             node_continuous_from_base: self.motion.node_continuous_from_base,
             node_covariance: self.motion.node_covariance,
             last_break: self.frame.last_break,
             last: self.motion.last,
             counts: self.counts,
-            waiting: self.frame.revisions.iter().copied().collect(),
+            waiting: self.frame.frame_updates.iter().copied().collect(),
             odometry,
             continuous_from_odom,
             odometry_rejected,

@@ -50,17 +50,17 @@ pub(crate) fn turn_covariance(covariance: Matrix3<f64>, yaw_rad: f64) -> Matrix3
 impl Graph {
     /// Covariance of a node's pose in the map over (x, y, yaw), as seen from the node that covariances are seen from.
     pub fn covariance(&self, node: u32) -> Matrix3<f64> {
-        self.covariances[node as usize].map_or_else(Matrix3::zeros, |way| way.covariance)
+        self.covariances[node as usize].map_or_else(Matrix3::zeros, |known| known.covariance)
     }
 
     /// Variance of a node's position in the map, the sum of both axes, m².
     pub fn position_variance_m2(&self, node: u32) -> f64 {
-        self.covariances[node as usize].map_or(0.0, |way| way.spread())
+        self.covariances[node as usize].map_or(0.0, |known| known.spread())
     }
 
     /// The node that the covariances are seen from.
-    pub fn covariances_seen_from(&self) -> u32 {
-        self.covariances_seen_from
+    pub fn covariance_reference_node(&self) -> u32 {
+        self.covariance_reference_node
     }
 
     /// Finds the newest node's covariance from its edges to older nodes.
@@ -83,7 +83,7 @@ impl Graph {
     /// repeat, metres and radians per metre.
     pub fn update_covariances(&mut self, first: u32, repeating: [f64; 2]) {
         self.repeating_odometry_errors = repeating;
-        self.covariances_seen_from = first;
+        self.covariance_reference_node = first;
         self.variance_factor = self.variance_of_unit_weight();
         let errors = self.learned_errors();
         self.covariances = self.covariances_from(first, None, errors);
@@ -93,7 +93,7 @@ impl Graph {
     /// them. `drift` is a standard deviation that is added to each edge but odometry's, metres and radians per metre.
     pub fn relative_covariance(&self, from: u32, to: u32, drift: [f64; 2]) -> Option<Matrix3<f64>> {
         let errors = EdgeNoiseModel { drift, variance_factor: 1.0, repeating: [0.0; 2] };
-        self.covariances_from(from, Some(to), errors)[to as usize].map(|way| way.covariance)
+        self.covariances_from(from, Some(to), errors)[to as usize].map(|known| known.covariance)
     }
 
     fn learned_errors(&self) -> EdgeNoiseModel {
@@ -104,7 +104,7 @@ impl Graph {
     /// How large the links' errors in the solved graph are, in variances that they claim: the variance of unit weight (Mikhail,
     /// "Observations and Least Squares", 1976).
     fn variance_of_unit_weight(&self) -> f64 {
-        let links = || self.edges.iter().filter(|edge| edge.in_force && edge.kind == EdgeKind::Link);
+        let links = || self.edges.iter().filter(|edge| edge.is_active && edge.kind == EdgeKind::Link);
         let squared: f64 = links().map(|edge| self.chi_squared(edge).min(CHI_SQUARED_MAX)).sum();
         let freedom = 3.0 * (links().count() as f64 - self.poses.len() as f64 + 1.0);
         let [least, most] = VARIANCE_FACTORS;

@@ -79,7 +79,7 @@ impl UpdateTables {
     /// Tables of the configured log-odds of a hit and a miss.
     pub fn new(config: &MapConfig) -> Self {
         let step = |nats: f64| (nats / LOG_ODDS_PER_STEP).round().clamp(1.0, f64::from(LOG_ODDS_MAX)) as i8;
-        let (hit, miss) = (step(config.hit), -step(config.miss));
+        let (hit, miss) = (step(config.hit_log_odds), -step(config.miss_log_odds));
         let table = |change: i8| {
             core::array::from_fn(|bits| {
                 let cell = bits as u8 as i8;

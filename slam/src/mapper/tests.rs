@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use std::sync::Arc;
 
 /// A node that sees a wall bent around it.
-fn node(id: u32, range_m: f32, beams: usize, fits: bool) -> Node {
+fn node(id: u32, range_m: f32, beams: usize, is_tracked: bool) -> Node {
     let angle = |i: usize| i as f32 * core::f32::consts::TAU / 97.0;
     let mut rays = Rays { sensor: [0.1, 0.0], ..Default::default() };
     for i in 0..beams {
@@ -27,7 +27,7 @@ fn node(id: u32, range_m: f32, beams: usize, fits: bool) -> Node {
         header,
         local_from_base: Pose2::IDENTITY,
         previous_from_this: None,
-        fits,
+        is_tracked,
         unmeasured_s: 0.0,
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),
@@ -46,8 +46,8 @@ fn pose() -> impl Strategy<Value = Pose2> {
 fn nodes() -> impl Strategy<Value = (Vec<Node>, Vec<Pose2>)> {
     let one = (0.5_f32..6.0, 0_usize..97, prop::bool::weighted(0.9), pose());
     prop::collection::vec(one, 1..24).prop_map(|seen| {
-        let node = |(id, (range, beams, fits, _)): (usize, &(f32, usize, bool, Pose2))| {
-            node(id as u32, *range, *beams, *fits)
+        let node = |(id, (range, beams, is_tracked, _)): (usize, &(f32, usize, bool, Pose2))| {
+            node(id as u32, *range, *beams, *is_tracked)
         };
         (seen.iter().enumerate().map(node).collect(), seen.iter().map(|(.., pose)| *pose).collect())
     })
@@ -91,7 +91,7 @@ proptest! {
         prop_assert_eq!(&drawn, &finished(&nodes, &poses));
         // Some are forgotten.
         let left: Vec<Node> =
-            nodes.iter().zip(keeps).map(|(node, keep)| Node { fits: node.fits && keep, ..node.clone() }).collect();
+            nodes.iter().zip(keeps).map(|(node, keep)| Node { is_tracked: node.is_tracked && keep, ..node.clone() }).collect();
         prop_assert_eq!(mapper.finish(&left, &poses).to_owned(), finished(&left, &poses));
     }
 

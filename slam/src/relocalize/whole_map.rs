@@ -210,7 +210,7 @@ impl WholeMap {
             let pose = self.pose(block, headings.yaw_rad(block.turn));
             if places.iter().all(|other| !is_same_place(*other, pose)) {
                 if places.is_empty() {
-                    search.least = search.least.max(config.rival_share * f32::from_bits(bound));
+                    search.least = search.least.max(config.candidate_ratio_min * f32::from_bits(bound));
                 }
                 places.push(pose);
                 if places.len() == config.places_max {

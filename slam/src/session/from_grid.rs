@@ -2,7 +2,7 @@
 //! places a metre apart. Good for localization; there is no graph that could be gone on with.
 
 use super::log::LogPosition;
-use super::{Identity, Session};
+use super::{Session, SessionIdentity};
 use crate::back_end::BackEndState;
 use crate::beam_poses::BeamPoses;
 use crate::cloud::{Cloud, CloudScratch};
@@ -28,7 +28,7 @@ const SPACING_GROWTH: f64 = 1.5;
 
 impl Session {
     /// See the module. The grid's frame becomes the robot's map frame.
-    pub fn from_grid(identity: Identity, grid: GridView<'_>, config: &SlamConfig) -> Self {
+    pub fn from_grid(identity: SessionIdentity, grid: GridView<'_>, config: &SlamConfig) -> Self {
         let mut spacing_m = SPACING_M;
         let mut places = free_places(grid, spacing_m);
         while places.len() > PLACES_MAX {
@@ -54,7 +54,7 @@ impl Session {
                 header: Header::default(),
                 local_from_base: map_from_base,
                 previous_from_this: None,
-                fits: true,
+                is_tracked: true,
                 unmeasured_s: 0.0,
                 cloud: Arc::new(cloud),
                 rays: Arc::new(Rays::new(&scan, &sweep, &config)),

@@ -9,10 +9,10 @@
 //! The back end's result depends on its nodes alone, so that a session and the records after it give the pose graph of
 //! the process that wrote them, bit for bit.
 
-use super::{Identity, SessionError, VERSION, decode_whole, encode_after, word};
+use super::{SessionError, SessionIdentity, VERSION, decode_whole, encode_after, word};
 use crate::back_end::BackEnd;
 use crate::front_end::FrontEndState;
-use crate::node::{Node, Revision};
+use crate::node::{MapFrameUpdate, Node};
 use crate::relocalize::LocalFrameEstimate;
 use serde::{Deserialize, Serialize};
 
@@ -43,7 +43,7 @@ pub struct LoggedNode {
 #[derive(Clone, Debug)]
 pub struct LogRecord {
     /// Robot and run that it was made by.
-    pub identity: Identity,
+    pub identity: SessionIdentity,
     /// Its place in the chain.
     pub position: LogPosition,
     /// Checksum of the record before it.
@@ -57,7 +57,7 @@ pub struct LogRecord {
 /// Content of a record before its nodes.
 #[derive(Serialize, Deserialize)]
 struct RecordStart {
-    identity: Identity,
+    identity: SessionIdentity,
     number: u64,
     /// Checksum of the record before.
     previous: u32,
@@ -98,7 +98,7 @@ impl LogRecordBuilder {
     /// becomes the record's place.
     pub fn encode(
         &mut self,
-        identity: &Identity,
+        identity: &SessionIdentity,
         newest: &mut LogPosition,
         front: &FrontEndState,
     ) -> Vec<u8> {
@@ -198,17 +198,17 @@ pub fn continuation(newest: LogPosition, records: Vec<LogRecord>) -> Vec<LogReco
 }
 
 impl BackEnd {
-    /// Receives the nodes of records once more. Returns the front end's state after the last record, with the revisions
+    /// Receives the nodes of records once more. Returns the front end's state after the last record, with the frame updates
     /// that it has yet to apply; `None` without records, or if its local map names nodes that are not there.
     pub fn replay(&mut self, records: Vec<LogRecord>) -> Option<FrontEndState> {
-        let mut revisions: Vec<Revision> = Vec::new();
+        let mut frame_updates: Vec<MapFrameUpdate> = Vec::new();
         let mut front = None;
         for record in records {
             for LoggedNode { node, begins_at } in record.nodes {
                 if begins_at.is_some() {
                     self.start_relocalization(begins_at);
                 }
-                revisions.push(self.add_node(node));
+                frame_updates.push(self.add_node(node));
             }
             front = Some(record.front);
         }
@@ -217,11 +217,11 @@ impl BackEnd {
             referenced.iter().all(|count| *count as usize <= self.nodes().len())
         })?;
         // The front end had not received the newest when it reported its state.
-        let newest_known = front.waiting.last().map_or(0, |revision| revision.effective_from);
-        let unknown = |revision: &Revision| {
-            revision.effective_from >= front.next_node && revision.effective_from > newest_known
+        let newest_known = front.waiting.last().map_or(0, |frame_update| frame_update.effective_from);
+        let unknown = |frame_update: &MapFrameUpdate| {
+            frame_update.effective_from >= front.next_node && frame_update.effective_from > newest_known
         };
-        front.waiting.extend(revisions.into_iter().filter(unknown).collect::<Vec<_>>());
+        front.waiting.extend(frame_updates.into_iter().filter(unknown).collect::<Vec<_>>());
         Some(front)
     }
 }

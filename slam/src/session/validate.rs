@@ -3,7 +3,7 @@
 //! Serde checks the types; a well-formed value may still be one that no session has.
 
 use super::log::{LogPosition, LogRecord};
-use super::{Identity, Session, SessionError};
+use super::{Session, SessionError, SessionIdentity};
 use crate::back_end::{BackEndState, DoubtMonitor};
 use crate::closure::ClosureCandidate;
 use crate::front_end::FrontEndState;
@@ -18,7 +18,7 @@ use nalgebra::Matrix3;
 const NODES_MAX: usize = 1_000_000;
 /// Most edges per node, on average.
 const EDGES_PER_NODE_MAX: usize = 64;
-/// Most entries of a queue: nodes to search for, candidates, revisions, rejected closures.
+/// Most entries of a queue: nodes to search for, candidates, frame updates, rejected closures.
 const WAITING_MAX: usize = 4096;
 /// Most newest nodes that a front end refers to.
 const RECENT_MAX: usize = 4096;
@@ -49,7 +49,7 @@ const COMPARED_POINTS_MAX: u32 = 10_000_000;
 /// Longest time in which nothing measured the motion, seconds: 30 years.
 const UNMEASURED_S_MAX: f32 = 1e9;
 /// Largest difference of a map from odometry, standard deviations: any coordinate over any of them.
-const STRETCH_SIGMAS_MAX: f64 = 1e12;
+const RESIDUAL_SIGMAS_MAX: f64 = 1e12;
 /// Longest interval between two scans, seconds.
 const INTERVAL_S_MAX: f64 = 1e9;
 /// Largest counter: half of what it can hold, so that it can go on counting.
@@ -127,7 +127,7 @@ fn check_points(points: &[[f32; 2]], most_m: f32, what: &'static str) -> Result 
     check(points.iter().flatten().all(|v| v.abs() <= most_m), what)
 }
 
-fn check_identity(identity: &Identity) -> Result {
+fn check_identity(identity: &SessionIdentity) -> Result {
     let finite = identity.base_from_scan.iter().all(|v| v.is_finite());
     check(finite && identity.range_use_max_m.is_finite(), "identity")
 }
@@ -209,18 +209,18 @@ fn check_back_end(back: &BackEndState) -> Result {
     check_doubts(&back.doubts, nodes)?;
     check(back.unsolved as u64 <= COUNT_MAX, "number of unsolved nodes")?;
     let c = &detector.counts;
-    let counts = [c.searches, c.no_response, c.ambiguous, c.contradicted, c.unconfirmed, c.accepted];
+    let counts = [c.searches, c.below_min_response, c.ambiguous, c.contradicted, c.unconfirmed, c.accepted];
     let counts = counts.into_iter().chain([back.solutions, back.retracted, back.retired]);
     check_counters(counts)
 }
 
 fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
-    check_count(doubts.walls.len(), nodes, "nodes compared with others")?;
+    check_count(doubts.node_comparisons.len(), nodes, "nodes compared with others")?;
     let points = |comparison: &NodeComparison| {
         let WallAgreement { agree, contradict } = comparison.walls;
         [agree, contradict].iter().all(|points| *points <= COMPARED_POINTS_MAX)
     };
-    check(doubts.walls.iter().flatten().all(points), "number of compared points")?;
+    check(doubts.node_comparisons.iter().flatten().all(points), "number of compared points")?;
     let is_cut_valid = doubts.cut.is_none_or(|cut| cut.before < cut.after && (cut.after as usize) < nodes);
     check(is_cut_valid, "place where the path is wrong")?;
     check(doubts.cursor <= nodes, "node compared anew")?;
@@ -228,7 +228,7 @@ fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
     check((0.0..=UNMEASURED_S_MAX).contains(&doubts.unmeasured_s), "time without a measured motion")?;
     let MapDoubts {
         contradicted_share,
-        odometry_stretch,
+        odometry_residual_sigmas,
         unmeasured_motion_s,
         distant_relocations,
         position_sigma_m,
@@ -237,7 +237,7 @@ fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
     } = doubts.current;
     check((0.0..=1.0).contains(&contradicted_share), "share of contradicted points")?;
     check((0.0..=1.0).contains(&untied_share), "share of nodes that are not tied")?;
-    check((0.0..=STRETCH_SIGMAS_MAX).contains(&odometry_stretch), "difference from odometry")?;
+    check((0.0..=RESIDUAL_SIGMAS_MAX).contains(&odometry_residual_sigmas), "difference from odometry")?;
     check((0.0..=UNMEASURED_S_MAX).contains(&unmeasured_motion_s), "time without a measured motion")?;
     check(distant_relocations <= NUMBER_MAX, "number of distant relocations")?;
     check(refuted_closures as usize <= nodes * nodes, "number of refuted closures")?;
@@ -261,7 +261,7 @@ fn check_front_end(front: &FrontEndState, nodes: usize) -> Result {
     check_pose(front.map_from_local, "front end's frame in the map")?;
     check_pose(front.continuous_from_odom, "odometry's frame")?;
     check_poses(front.node_continuous_from_base, "newest node's odometry")?;
-    check_poses(front.sent_from_newest, "odometry since the newest node")?;
+    check_poses(front.published_from_newest, "odometry since the newest node")?;
     check_matrix(&front.node_covariance, "newest node's covariance")?;
     if let Some(last) = &front.last {
         check_pose(last.local_from_base, "last pose")?;
@@ -271,15 +271,21 @@ fn check_front_end(front: &FrontEndState, nodes: usize) -> Result {
         let seconds = last.motion.map_or(0.0, |(_, seconds)| seconds);
         check((0.0..INTERVAL_S_MAX).contains(&seconds), "duration of the last motion")?;
     }
-    check_count(front.waiting.len(), WAITING_MAX, "revisions")?;
-    check_poses(front.waiting.iter().map(|revision| revision.map_from_local), "revision")?;
+    check_count(front.waiting.len(), WAITING_MAX, "frame_updates")?;
+    check_poses(front.waiting.iter().map(|frame_update| frame_update.map_from_local), "frame_update")?;
     check_count(front.odometry.len(), ODOMETRY_MAX, "odometry messages")?;
     check_poses(front.odometry.iter().map(|odometry| odometry.odom_from_base), "odometry")?;
     let sorted = front.odometry.is_sorted_by(|a, b| a.header.stamp < b.header.stamp);
     check(sorted, "order of odometry")?;
     check_swept_path(&front.swept_path, POSITION_M_MAX as f32)?;
     let c = &front.counts;
-    let rejected = [c.stamp_repeated, c.stamp_went_back, c.beam_count, c.geometry, c.odometry_rejected];
+    let rejected = [
+        c.stamp_repeated,
+        c.stamp_went_back,
+        c.rejected_beam_count,
+        c.rejected_geometry,
+        c.odometry_rejected,
+    ];
     let counts = [c.accepted, c.clock_set_back, c.lost, c.odometry_breaks, c.slips, c.trajectory_dropped];
     check_counters(rejected.into_iter().chain(counts))?;
     check_counters([c.nodes_held_back, c.not_deskewed, front.odometry_rejected])

@@ -170,8 +170,8 @@ impl<'a> Robot<'a> {
         self.next = self.records.next_laser();
         let made = node.is_some();
         if let Some(node) = node {
-            let revision = self.back.add_node(node);
-            self.front.add_revision(revision);
+            let frame_update = self.back.add_node(node);
+            self.front.add_frame_update(frame_update);
             self.submaps.update(&self.back);
         }
         made
@@ -229,7 +229,7 @@ impl Merged {
             self.merge_s += spent_s;
             self.task_max_ms = self.task_max_ms.max(1e3 * spent_s);
             let began = Instant::now();
-            self.fleet.apply_outcome(outcome);
+            self.fleet.apply_result(outcome);
             self.note_update(began);
         }
     }

@@ -116,11 +116,11 @@ impl Summary {
         let (counts, done) = (front.counts(), back.counts());
         (self.scans, self.lost) = (counts.accepted, counts.lost);
         (self.stamp_repeated, self.stamp_went_back) = (counts.stamp_repeated, counts.stamp_went_back);
-        self.refused_other = counts.beam_count + counts.geometry;
+        self.refused_other = counts.rejected_beam_count + counts.rejected_geometry;
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
         self.untied_nodes = done.untied;
-        self.untied_components = back.disconnected_components();
+        self.untied_components = back.untied_piece_count();
         self.doubts = back.doubts();
         self.unreliable = self.doubts.is_unreliable();
         self.doubts_in_words = self.doubts.reasons().collect();

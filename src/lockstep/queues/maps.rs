@@ -69,7 +69,7 @@ pub struct QueueMapReader {
     pub(super) topic: Rc<Topic<PatchMessage>>,
     pub(super) queue: Rc<Queue<PatchMessage>>,
     pub(super) asked: Option<Monotonic>,
-    pub(super) gaps: ReceiveCounts,
+    pub(super) receive_counts: ReceiveCounts,
     pub(super) receiver: PatchReceiver,
 }
 
@@ -78,7 +78,7 @@ impl ReadMapPort for QueueMapReader {
         let now = self.clock.now();
         let mut new = false;
         while let Some(message) = self.queue.receive(now) {
-            self.gaps.count(message.header.header());
+            self.receive_counts.count(message.header.header());
             new |= self.receiver.receive(&message.header, &message.tiles);
         }
         let patient = |asked: Monotonic| now.since(asked) < MAP_REQUEST_PERIOD.as_nanos() as u64;
@@ -96,7 +96,7 @@ impl ReadMapPort for QueueMapReader {
         self.receiver.map()
     }
 
-    fn gaps(&self) -> ReceiveCounts {
-        self.gaps
+    fn receive_counts(&self) -> ReceiveCounts {
+        self.receive_counts
     }
 }

@@ -14,7 +14,7 @@ use ::link::Kind;
 use link_transport::Transport;
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
-    Correction, Header, MapHeader, Monotonic, Rect, RobotId, Role, Scan, ScanDemand, ScanPurpose, Stamp,
+    Correction, Header, IndexRect, MapHeader, Monotonic, RobotId, Role, Scan, ScanDemand, ScanPurpose, Stamp,
     SubmapPoses, TileMap, Transforms, VelocityCommand,
 };
 use std::cell::{Cell, RefCell};
@@ -142,7 +142,7 @@ impl RobotSide {
     }
 
     fn draw(&mut self, x: i64, cell: i8) {
-        assert!(self.map.grow_to(Rect::single(x, 0), ROBOT_TILES_MAX));
+        assert!(self.map.grow_to(IndexRect::single(x, 0), ROBOT_TILES_MAX));
         self.map.get_mut(x, 0).unwrap().cells[7] = cell;
     }
 

@@ -1,6 +1,6 @@
 //! Exploration of the fleet: commands, the coordinator, and the state that goes out.
 
-use super::memory::SavedExploration;
+use super::state_file::SavedExploration;
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
@@ -105,9 +105,9 @@ impl<P: Ports> Exploration<P> {
             let state = navigator.robots().find(|navigation| navigation.robot == *robot).map(|n| n.state);
             let is_persons = !exploration.is_driving(*robot) && navigator.goal(*robot).is_some();
             match state {
-                Some(state) if is_persons && state.is_active() => exploration.take(*robot, true),
+                Some(state) if is_persons && state.is_active() => exploration.set_manual(*robot, true),
                 _ => {
-                    exploration.give_back(*robot);
+                    exploration.release_manual(*robot);
                     if is_persons {
                         navigator.cancel(*robot);
                     }
@@ -120,18 +120,18 @@ impl<P: Ports> Exploration<P> {
     }
 
     /// Takes a robot out, because a person drives it, has stopped it or gives it a goal.
-    pub(super) fn take(&mut self, robot: RobotId, has_new_goal: bool) {
+    pub(super) fn set_manual(&mut self, robot: RobotId, has_new_goal: bool) {
         if let Some(exploration) = &mut self.active {
-            exploration.take(robot, has_new_goal);
+            exploration.set_manual(robot, has_new_goal);
         }
     }
 
     /// Gives a robot back, unless it is to drive on to a person's goal.
-    pub(super) fn give_back(&mut self, navigator: &FleetNavigator, robot: RobotId) {
+    pub(super) fn release_manual(&mut self, navigator: &FleetNavigator, robot: RobotId) {
         if let Some(exploration) = &mut self.active
             && (exploration.is_driving(robot) || navigator.goal(robot).is_none())
         {
-            exploration.give_back(robot);
+            exploration.release_manual(robot);
         }
     }
 
@@ -199,7 +199,7 @@ impl<P: Ports> Exploration<P> {
                 Some(RobotAvailability::Free) => ExplorerState::Exploring,
                 Some(RobotAvailability::Revisiting) => ExplorerState::Revisiting,
                 Some(RobotAvailability::Manual) => ExplorerState::Manual,
-                Some(RobotAvailability::Dead) => ExplorerState::Silent,
+                Some(RobotAvailability::Silent) => ExplorerState::Silent,
             } as u8;
         }
         let is_manual = |robot: &RobotId| report.robot(robot.index()) == ExplorerState::Manual;
@@ -226,7 +226,7 @@ impl<P: Ports> Exploration<P> {
         let of_robots = |robot: &RobotId| {
             let exploration = self.active.as_ref()?;
             let home = exploration.home(*robot).map(|home| [home.x_m, home.y_m, home.yaw_rad]);
-            Some((robot.number(), exploration.is_taken(*robot), home))
+            Some((robot.number(), exploration.is_manual(*robot), home))
         };
         SavedExploration {
             number: self.number(),
@@ -245,7 +245,7 @@ impl<P: Ports> Exploration<P> {
         for (number, is_taken, home) in &saved.robots {
             let Some(robot) = RobotId::new(*number) else { continue };
             if *is_taken {
-                exploration.take(robot, true);
+                exploration.set_manual(robot, true);
             }
             let home = home.map(|[x_m, y_m, yaw_rad]| Pose2::new(x_m, y_m, yaw_rad));
             if let Some(home) = home.filter(|home| home.is_finite()) {

@@ -3,11 +3,11 @@
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
-use ::nav::{MapView, NavigatedRobot, NavigationInput, PlaceCertainty, RobotObservation, ScanView};
+use ::nav::{LocalizationUncertainty, MapView, NavigatedRobot, NavigationInput, RobotObservation, ScanView};
 use msg::pose::yaw_of_quaternion;
 use msg::{
-    Correction, DenseMap, ExclusionZone, Link, LinkTransform, MapTransforms, Monotonic, Pose2, RobotId, Scan,
-    Stamp, TrackingState, Transforms,
+    Correction, DenseMap, ExclusionZone, LinkTransform, MapTransforms, Monotonic, Pose2, RobotFrame, RobotId,
+    Scan, Stamp, TrackingState, Transforms,
 };
 
 /// Oldest pose that a robot is driven by, nanoseconds: ten periods of its odometry.
@@ -43,7 +43,7 @@ struct RobotState {
     /// `None` while the robot is lost.
     map_from_odom: Option<Pose2>,
     /// `None` while the robot is lost.
-    certainty: Option<PlaceCertainty>,
+    uncertainty: Option<LocalizationUncertainty>,
     /// When SLAM said so last.
     corrected: Option<Monotonic>,
 }
@@ -106,8 +106,8 @@ impl<P: Ports> Inputs<P> {
             if let Some(correction) = corrections.newest() {
                 let is_located = correction.state() != TrackingState::Lost && correction.nodes > 0;
                 state.map_from_odom = correction.map_from_odom().filter(|_| is_located);
-                state.certainty =
-                    is_located.then(|| certainty(&correction)).filter(|known| known.sigma_m.is_finite());
+                state.uncertainty =
+                    is_located.then(|| uncertainty(&correction)).filter(|known| known.sigma_m.is_finite());
                 state.corrected = Some(now.min(correction.header.sent));
             }
             if map_from_robot_map(transforms.as_ref(), *robot).is_none() {
@@ -191,7 +191,7 @@ impl<P: Ports> Inputs<P> {
                     observation,
                     odom_from_base,
                     map_from_robot_map,
-                    certainty: inputs.state.certainty,
+                    uncertainty: inputs.state.uncertainty,
                 }
             })
             .collect();
@@ -201,13 +201,15 @@ impl<P: Ports> Inputs<P> {
 
 impl RobotState {
     fn set_links(&mut self, links: &Transforms, now: Monotonic) {
-        let child = |link: Link| links.links().iter().find(|known| known.child == link as u32);
-        if let Some(base) = child(Link::BaseFootprint).filter(|base| base.parent == Link::Odom as u32) {
+        let child = |link: RobotFrame| links.links().iter().find(|known| known.child == link as u32);
+        if let Some(base) =
+            child(RobotFrame::BaseFootprint).filter(|base| base.parent == RobotFrame::Odom as u32)
+        {
             self.odom_from_base = Some((planar_pose(base), now));
         }
-        let base_from_link = child(Link::BaseLink).map_or(Pose2::IDENTITY, planar_pose);
-        if let Some(scan) = child(Link::BaseScan) {
-            let is_of_link = scan.parent == Link::BaseLink as u32;
+        let base_from_link = child(RobotFrame::BaseLink).map_or(Pose2::IDENTITY, planar_pose);
+        if let Some(scan) = child(RobotFrame::BaseScan) {
+            let is_of_link = scan.parent == RobotFrame::BaseLink as u32;
             let parent = if is_of_link { base_from_link } else { Pose2::IDENTITY };
             self.base_from_scan = parent * planar_pose(scan);
         }
@@ -220,8 +222,8 @@ fn planar_pose(link: &LinkTransform) -> Pose2 {
 }
 
 /// How well SLAM knows a robot's place in its map.
-fn certainty(correction: &Correction) -> PlaceCertainty {
-    PlaceCertainty {
+fn uncertainty(correction: &Correction) -> LocalizationUncertainty {
+    LocalizationUncertainty {
         sigma_m: correction.position_sigma_m(),
         is_fixed_by_scan: correction.state() == TrackingState::Tracking,
     }

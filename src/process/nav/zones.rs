@@ -1,6 +1,6 @@
 //! Exclusion zones of the fleet: commands, the zones that hold, and the state that goes out.
 
-use super::memory::SavedZones;
+use super::state_file::SavedZones;
 use crate::channel;
 use crate::config::LABORATORY;
 use crate::fleet;

@@ -146,13 +146,13 @@ impl<P: Ports> Inputs<P> {
     /// Returns the number of messages that were sent and not received, where a queue is meant to lose none.
     pub fn lost(&self) -> u64 {
         let of_robot = |input: &RobotInputs<P>| {
-            input.commands.gaps().lost
-                + input.odometry.gaps().lost
-                + input.transforms.gaps().lost
-                + input.scans.gaps().lost
-                + input.corrections.gaps().lost
+            input.commands.receive_counts().lost
+                + input.odometry.receive_counts().lost
+                + input.transforms.receive_counts().lost
+                + input.scans.receive_counts().lost
+                + input.corrections.receive_counts().lost
         };
-        self.robots.iter().map(of_robot).sum::<u64>() + self.clock.gaps().lost
+        self.robots.iter().map(of_robot).sum::<u64>() + self.clock.receive_counts().lost
     }
 }
 

@@ -2,12 +2,12 @@
 
 use super::topics::Recorder;
 use crate::recording_files::RecordingCounts;
-use crate::spare_time::{Action, Work};
+use crate::spare_time::{Action, JobExecutor};
 use std::sync::Arc;
 
 /// Encodes and writes messages; counts those for which too much waits.
 pub struct RecordingWork {
-    pub(super) work: Work<Recorder>,
+    pub(super) work: JobExecutor<Recorder>,
     pub(super) counts: Arc<RecordingCounts>,
 }
 

@@ -11,7 +11,7 @@ use ::bridge::{
     Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransformPolicy, OUTGOING_TOPICS, TopicSink,
 };
 use ::recording::{Durability, RecordingWriter, TopicIndex, WriteError};
-use msg::{GroundTruth, Link, Monotonic, Odometry, RobotId, Sender, Stamp};
+use msg::{CommandSource, GroundTruth, Monotonic, Odometry, RobotFrame, RobotId, Stamp};
 use reports::{BridgeState, TlxEntry};
 use ros_messages::cdr::Writer;
 use ros_messages::{
@@ -80,7 +80,7 @@ pub struct Recorder {
     epoch: Epoch,
     file: FileTopics,
     /// Who sent each robot's newest velocity.
-    command_senders: Vec<Option<Sender>>,
+    command_senders: Vec<Option<CommandSource>>,
 }
 
 /// The topics, and the file that is being written.
@@ -148,7 +148,7 @@ impl Recorder {
             linear_m_s: truth.linear_m_s,
             angular_rad_s: truth.angular_rad_s,
         };
-        let child = self.names.link(robot, Link::BaseFootprint);
+        let child = self.names.robot_frame(robot, RobotFrame::BaseFootprint);
         self.file.record(OwnTopic::GroundTruth, robot.index(), |to| {
             write::odometry(to, WORLD, child, &pose, &[0.0; 36], &[0.0; 36]);
         });

@@ -1,6 +1,6 @@
 //! Schedule by which SLAM saves its session.
 
-use super::files::JobOutcome;
+use super::files::FileJobOutcome;
 use crate::run::Run;
 use crate::sessions;
 use msg::{Monotonic, RobotId};
@@ -75,7 +75,7 @@ impl Autosave {
         self.not_before = after(now, RETRY_PERIOD);
     }
 
-    pub fn finish(&mut self, outcome: &JobOutcome, now: Monotonic) {
+    pub fn finish(&mut self, outcome: &FileJobOutcome, now: Monotonic) {
         self.busy = false;
         let first = !std::mem::replace(&mut self.saved, true);
         let pause = if first { self.turn } else { self.every.unwrap_or_default() };

@@ -2,7 +2,7 @@
 
 use super::autosave::Autosave;
 use super::commands::CommandSender;
-use super::files::{Job, JobOutcome, Loaded, Work};
+use super::files::{FileJobOutcome, FileOperation, Loaded, SessionFileJob};
 use super::services::{PendingRequest, Services};
 use super::session_log::{LogEnd, SessionLog};
 use super::{BackEndInput, FrontCommand, FrontEvent, TrajectoryStart};
@@ -11,7 +11,7 @@ use crate::process::map_publisher::MapPublisher;
 use crate::process::submap_publisher::SubmapPublisher;
 use crate::run::Run;
 use crate::sessions;
-use ::slam::{BackEnd, FrontEnd, FrontEndState, Identity, LocalFrameEstimate, Node, Session};
+use ::slam::{BackEnd, FrontEnd, FrontEndState, LocalFrameEstimate, Node, Session, SessionIdentity};
 use msg::{Monotonic, RobotId, SlamMode, SlamRequest};
 use std::path::PathBuf;
 use std::sync::mpsc::SyncSender;
@@ -44,7 +44,7 @@ impl<P: Ports> BackEndWorker<P> {
         robot: RobotId,
         (back, log_end): (BackEnd, LogEnd),
         commands: SyncSender<FrontCommand>,
-        jobs: SyncSender<Job>,
+        jobs: SyncSender<SessionFileJob>,
     ) -> Result<Self, ChannelError> {
         let clock = ports.clock();
         let now = clock.now();
@@ -133,10 +133,10 @@ pub struct WorkerState {
     /// The back end itself.
     pub back: BackEnd,
     /// Robot, run and configuration to which a session belongs.
-    pub identity: Identity,
+    pub identity: SessionIdentity,
     /// Sender of commands to the scan path.
     pub commands: CommandSender,
-    jobs: SyncSender<Job>,
+    jobs: SyncSender<SessionFileJob>,
     autosave: Autosave,
     log: SessionLog,
     /// Number of the current or next front end: events of earlier ones are ignored.
@@ -185,11 +185,11 @@ impl WorkerState {
         }
         let was_found = self.back.map_from_base().is_some();
         let failed_before = self.back.failed_solutions();
-        let revision = self.back.add_node(node);
+        let frame_update = self.back.add_node(node);
         if self.back.failed_solutions() > failed_before {
             tracing::warn!("slam: the pose graph was not solved; the map stays as it was");
         }
-        self.commands.send_or_drop(FrontCommand::QueueRevision(revision));
+        self.commands.send_or_drop(FrontCommand::QueueFrameUpdate(frame_update));
         if self.back.mode() != SlamMode::Localization {
             (self.redraw, self.autosave.changed) = (true, true);
         }
@@ -205,7 +205,7 @@ impl WorkerState {
     }
 
     /// Continues with another map.
-    pub fn replace(&mut self, front: FrontEnd, back: BackEnd, in_place: bool) {
+    pub fn replace(&mut self, front: FrontEnd, back: BackEnd, keeps_pose: bool) {
         // Its scans may have older stamps, but readers need maps in order of time.
         let before = self.back.tiles().header;
         self.back = back;
@@ -213,7 +213,7 @@ impl WorkerState {
         (self.front_number, self.is_new) = (self.front_number + 1, true);
         self.mark_changed();
         let (number, front) = (self.front_number, Box::new(front));
-        self.commands.send(FrontCommand::Replace { number, front, in_place });
+        self.commands.send(FrontCommand::Replace { number, front, keeps_pose });
         if !self.pending.is_empty() {
             // An earlier request would be answered by the replaced front end.
             self.ask_for_state();
@@ -250,9 +250,9 @@ impl WorkerState {
     }
 
     /// Sends a job to the file worker; returns false if its queue is full.
-    pub fn give(&self, request: Option<&SlamRequest>, path: PathBuf, work: Work) -> bool {
+    pub fn give(&self, request: Option<&SlamRequest>, path: PathBuf, work: FileOperation) -> bool {
         let request = request.map(|request| Box::new(*request));
-        self.jobs.try_send(Job { request, path, work }).is_ok()
+        self.jobs.try_send(SessionFileJob { request, path, work }).is_ok()
     }
 
     /// Returns the session to save, with the scan path at `state`.
@@ -261,7 +261,7 @@ impl WorkerState {
     }
 
     /// Handles the outcome of a write that no request waits for.
-    fn finish_write(&mut self, outcome: &JobOutcome) {
+    fn finish_write(&mut self, outcome: &FileJobOutcome) {
         match outcome.appended_at {
             Some(at) => {
                 let error = outcome.result.as_ref().err().map(ToString::to_string);
@@ -300,7 +300,7 @@ impl WorkerState {
     /// Starts a save on the file worker.
     pub fn save(&mut self, state: &FrontEndState) {
         let session = self.session_after_log(state);
-        if !self.give(None, self.autosave.path.clone(), Work::Save(session)) {
+        if !self.give(None, self.autosave.path.clone(), FileOperation::Save(session)) {
             self.log.finish_session(false);
             self.autosave.put_off(self.now);
         }
@@ -317,9 +317,9 @@ impl WorkerState {
     fn end(&mut self, number: u32, state: &FrontEndState) {
         let same_front = number == self.front_number;
         if self.autosave.is_wanted() && same_front && !self.back.nodes().is_empty() {
-            let work = Work::Save(self.session_after_log(state));
+            let work = FileOperation::Save(self.session_after_log(state));
             // The running save must end first, or the older session would replace the newer one.
-            let _ = self.jobs.send(Job { request: None, path: self.autosave.path.clone(), work });
+            let _ = self.jobs.send(SessionFileJob { request: None, path: self.autosave.path.clone(), work });
         }
     }
 }

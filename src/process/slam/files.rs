@@ -9,7 +9,7 @@ use crate::ports::Clock;
 use crate::session_file;
 use crate::sessions::{self, TOLD_SIGMA};
 use crate::storage::Storage;
-use ::slam::{BackEnd, FrontEnd, Identity, InitialPose, LocalFrameEstimate, Session, SlamConfig};
+use ::slam::{BackEnd, FrontEnd, InitialPose, LocalFrameEstimate, Session, SessionIdentity, SlamConfig};
 use msg::{Grid, Pose2, SlamMode, SlamRequest, StartPose};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, TrySendError};
@@ -19,17 +19,17 @@ use std::time::Duration;
 pub const JOBS_MAX: usize = 8;
 
 /// Job of the file worker: one operation on one file.
-pub struct Job {
+pub struct SessionFileJob {
     /// Request that the job belongs to; `None` for an autosave.
     pub request: Option<Box<SlamRequest>>,
     /// File to read or to write.
     pub path: PathBuf,
     /// Operation on the file.
-    pub work: Work,
+    pub work: FileOperation,
 }
 
 /// Operation on a file.
-pub enum Work {
+pub enum FileOperation {
     /// Write a session.
     Save(Box<Session>),
     /// Write bytes at a place in a log, and cut off what follows.
@@ -47,11 +47,11 @@ pub enum Work {
         reasons: Vec<&'static str>,
     },
     /// Read a session or a map for this robot.
-    Load(Identity, SlamMode),
+    Load(SessionIdentity, SlamMode),
 }
 
 /// Outcome of a job.
-pub struct JobOutcome {
+pub struct FileJobOutcome {
     /// The job's request.
     pub request: Option<Box<SlamRequest>>,
     /// The job's file.
@@ -87,7 +87,7 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
     }
 
     /// Does one job; waits while the back-end thread has no room for the outcome.
-    pub fn run(&mut self, job: Job) {
+    pub fn run(&mut self, job: SessionFileJob) {
         let outcome = BackEndInput::File(Box::new(self.perform(job)));
         if let Err(std::sync::mpsc::SendError(BackEndInput::File(outcome))) = self.outcomes.send(outcome)
             && let Err(why) = outcome.result
@@ -97,7 +97,7 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
     }
 
     /// Does one job if the back-end thread has room for the outcome; else gives the outcome back.
-    pub fn try_run(&mut self, job: Job) -> Option<BackEndInput> {
+    pub fn try_run(&mut self, job: SessionFileJob) -> Option<BackEndInput> {
         let outcome = BackEndInput::File(Box::new(self.perform(job)));
         self.try_send(outcome)
     }
@@ -110,36 +110,36 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
         }
     }
 
-    fn perform(&mut self, Job { request, path, work }: Job) -> JobOutcome {
+    fn perform(&mut self, SessionFileJob { request, path, work }: SessionFileJob) -> FileJobOutcome {
         let begun = self.clock.now();
-        let appended_at = if let Work::Append { at, .. } = &work { Some(*at) } else { None };
+        let appended_at = if let FileOperation::Append { at, .. } = &work { Some(*at) } else { None };
         let result = match work {
-            Work::Save(session) => {
+            FileOperation::Save(session) => {
                 let written = self.storage.write(&path, &session.encode());
                 written.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
             }
-            Work::Append { at, bytes } => {
+            FileOperation::Append { at, bytes } => {
                 let written = self.storage.append(&path, at, &bytes);
                 written.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
             }
-            Work::Draw { grid, reasons } => self
+            FileOperation::Draw { grid, reasons } => self
                 .storage
                 .write_map(&path, grid.view(), &reasons)
                 .map(|()| None)
                 .map_err(FileJobError::from),
-            Work::Load(identity, mode) => {
+            FileOperation::Load(identity, mode) => {
                 let request = request.as_deref().copied().unwrap_or_default();
                 self.load(&path, &identity, mode, &request).map(|loaded| Some(Box::new(loaded)))
             }
         };
         let took = Duration::from_nanos(self.clock.now().since(begun));
-        JobOutcome { request, path, result, took, appended_at }
+        FileJobOutcome { request, path, result, took, appended_at }
     }
 
     fn load(
         &self,
         path: &Path,
-        identity: &Identity,
+        identity: &SessionIdentity,
         mode: SlamMode,
         request: &SlamRequest,
     ) -> Result<Loaded, FileJobError> {

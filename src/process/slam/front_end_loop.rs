@@ -82,8 +82,12 @@ impl<P: Ports> ProcessLoop for FrontEndLoop<P> {
             }
         }
         let dropped = runner.events_lost.get();
-        let counters =
-            HealthCounters { gaps: scans.gaps(), refused: *refused, dropped, ..HealthCounters::default() };
+        let counters = HealthCounters {
+            receive_counts: scans.receive_counts(),
+            refused: *refused,
+            dropped,
+            ..HealthCounters::default()
+        };
         heartbeat.publish_if_due(|| counters);
         heartbeat.due()
     }
@@ -148,17 +152,17 @@ impl FrontEndRunner {
     fn apply_commands(&mut self) {
         while let Ok(command) = self.commands.try_recv() {
             match command {
-                FrontCommand::QueueRevision(revision) => self.front.add_revision(revision),
+                FrontCommand::QueueFrameUpdate(frame_update) => self.front.add_frame_update(frame_update),
                 FrontCommand::Pause(paused) => self.paused = paused,
                 FrontCommand::ReportState => {
                     self.report(FrontEvent::State(Box::new(self.front.state())));
                 }
-                FrontCommand::Replace { number, front, in_place } => {
+                FrontCommand::Replace { number, front, keeps_pose } => {
                     let old = core::mem::replace(&mut self.front, front);
                     if let Some(odometry) = &self.odometry {
                         self.front.add_odometry(odometry);
                     }
-                    self.continue_in_place(in_place);
+                    self.continue_after_replacement(keeps_pose);
                     // Dropping it takes long, so the back end does that.
                     self.report(FrontEvent::Replaced(old));
                     self.number = number;
@@ -166,7 +170,9 @@ impl FrontEndRunner {
                 FrontCommand::SetMapFromLocal(map_from_local) => {
                     self.front.set_map_from_local(map_from_local)
                 }
-                FrontCommand::ApplyRevisionNow(revision) => self.front.apply_revision(revision),
+                FrontCommand::ApplyFrameUpdateNow(frame_update) => {
+                    self.front.apply_frame_update(frame_update)
+                }
                 FrontCommand::RequestNode => self.front.request_node(),
             }
         }
@@ -229,10 +235,10 @@ impl FrontEndRunner {
         (self.last, step.rejected.is_none())
     }
 
-    /// Begins with a new front end: at the robot's last pose if the frame of the map stays `in_place`.
-    fn continue_in_place(&mut self, in_place: bool) {
+    /// Begins with a new front end: at the robot's last pose if the frame of the map stays `keeps_pose`.
+    fn continue_after_replacement(&mut self, keeps_pose: bool) {
         (self.odom_pose, self.trajectory_start, self.waited) = (None, None, 0);
-        match self.last.filter(|_| in_place) {
+        match self.last.filter(|_| keeps_pose) {
             Some(last) if last.map_from_odom().is_some() => self.odom_pose = last.map_from_odom(),
             Some(last) => {
                 // Without odometry: the new front end's frame lies where the robot stands.

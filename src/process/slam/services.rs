@@ -2,7 +2,7 @@
 
 use super::FrontCommand;
 use super::back_end::WorkerState;
-use super::files::{JobOutcome, Work};
+use super::files::{FileJobOutcome, FileOperation};
 use super::refused::RequestRefused;
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
@@ -148,7 +148,7 @@ impl<P: Ports> Services<P> {
         };
         let grid = state.back.map().to_owned();
         let reasons = state.back.doubts().reasons().collect();
-        give(state, request, stem, Work::Draw { grid, reasons })
+        give(state, request, stem, FileOperation::Draw { grid, reasons })
     }
 
     fn load_session(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
@@ -160,7 +160,7 @@ impl<P: Ports> Services<P> {
             pose_of(request)?;
         }
         let path = self.session_path(request)?;
-        let given = give(state, request, path, Work::Load(state.identity, mode));
+        let given = give(state, request, path, FileOperation::Load(state.identity, mode));
         self.loading = given.is_ok();
         given
     }
@@ -192,7 +192,7 @@ impl<P: Ports> Services<P> {
             PendingRequest::LogRecord => state.write_log(front),
             PendingRequest::Save(request, path) => {
                 let session = Box::new(state.session(front));
-                let outcome = give(state, &request, path, Work::Save(session));
+                let outcome = give(state, &request, path, FileOperation::Save(session));
                 self.respond(&request, outcome, state);
             }
             PendingRequest::SetPose(request) => {
@@ -213,8 +213,8 @@ impl<P: Ports> Services<P> {
     }
 
     /// Answers a request whose file was read or written.
-    pub fn finish_job(&mut self, state: &mut WorkerState, outcome: JobOutcome) {
-        let JobOutcome { request: Some(request), path, result, .. } = outcome else { return };
+    pub fn finish_job(&mut self, state: &mut WorkerState, outcome: FileJobOutcome) {
+        let FileJobOutcome { request: Some(request), path, result, .. } = outcome else { return };
         let loads = request.kind == SlamRequestKind::LoadSession as u32;
         self.loading &= !loads;
         let outcome = result.map(|loaded| {
@@ -293,7 +293,7 @@ fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, Re
     Ok(path)
 }
 
-fn give(state: &WorkerState, request: &SlamRequest, path: PathBuf, work: Work) -> RequestResult {
+fn give(state: &WorkerState, request: &SlamRequest, path: PathBuf, work: FileOperation) -> RequestResult {
     match state.give(Some(request), path, work) {
         true => Ok(RequestOutcome::Deferred),
         false => Err(RequestRefused::TooManyFiles),
@@ -327,7 +327,7 @@ fn may_change(state: &WorkerState) -> Result<(), RequestRefused> {
 /// Sends the scan path its new pose, and how good it is, after the graph has changed.
 fn publish_changed_graph(state: &mut WorkerState) {
     state.mark_changed();
-    state.commands.send(FrontCommand::ApplyRevisionNow(state.back.latest_revision()));
+    state.commands.send(FrontCommand::ApplyFrameUpdateNow(state.back.latest_frame_update()));
 }
 
 fn mode_of(request: &SlamRequest) -> Result<SlamMode, RequestRefused> {
@@ -344,7 +344,7 @@ fn info(closure: &ClosureReport) -> ClosureInfo {
         number: closure.number,
         older: closure.older,
         newer: closure.newer,
-        in_force: closure.in_force.into(),
+        is_active: closure.is_active.into(),
         older_from_newer: closure.older_from_newer,
         map_from_older: closure.poses[0],
         map_from_newer: closure.poses[1],

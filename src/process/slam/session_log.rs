@@ -4,12 +4,12 @@
 //! session is whole. A change that records cannot repeat (a loaded map, undone closures, a lost robot) suspends the
 //! log until a session with that change is saved.
 
-use super::files::{Job, Work};
+use super::files::{FileOperation, SessionFileJob};
 use crate::run::Run;
 use crate::sessions;
 use crate::storage::Storage;
 use ::slam::session::log::{LogContents, LogPosition, LogRecord, LogRecordBuilder, continuation};
-use ::slam::{FrontEndState, Identity, LocalFrameEstimate, Node};
+use ::slam::{FrontEndState, LocalFrameEstimate, Node, SessionIdentity};
 use msg::{Monotonic, RobotId};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::SyncSender;
@@ -116,7 +116,12 @@ impl SessionLog {
     }
 
     /// Writes the nodes that wait as one record, with the front end's state after them.
-    pub fn write(&mut self, identity: &Identity, front: &FrontEndState, jobs: &SyncSender<Job>) {
+    pub fn write(
+        &mut self,
+        identity: &SessionIdentity,
+        front: &FrontEndState,
+        jobs: &SyncSender<SessionFileJob>,
+    ) {
         self.is_requested = false;
         if self.suspended || self.waiting.is_empty() {
             return;
@@ -125,7 +130,10 @@ impl SessionLog {
         let bytes = self.waiting.encode(identity, &mut self.to.newest, front);
         let (at, length) = (self.to.end, bytes.len() as u64);
         let path = self.files[self.to.file].clone();
-        if jobs.try_send(Job { request: None, path, work: Work::Append { at, bytes } }).is_err() {
+        if jobs
+            .try_send(SessionFileJob { request: None, path, work: FileOperation::Append { at, bytes } })
+            .is_err()
+        {
             return self.suspend();
         }
         self.to.end += length;

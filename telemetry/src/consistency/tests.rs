@@ -61,7 +61,7 @@ fn figures_equal_hand_counted_ones() {
 fn chance_reaches_the_papers_figure_but_not_the_walls() {
     let map = house();
     let right = compare(map.view(), map.view(), Pose2::IDENTITY).unwrap();
-    let null = null(map.view(), map.view(), Pose2::IDENTITY, 20, 1);
+    let null = null_distribution(map.view(), map.view(), Pose2::IDENTITY, 20, 1);
     assert_eq!(null.len(), 20);
     let mean = |part: fn(&GridAgreement) -> f64| null.iter().map(part).sum::<f64>() / 20.0;
     assert!(mean(|wrong| wrong.agreement) > 0.85, "floor lies on floor: {}", mean(|wrong| wrong.agreement));
@@ -75,7 +75,7 @@ fn a_wrong_transform_scores_like_the_null() {
     let map = house();
     let wrong = Pose2::new(2.5, 0.6, 0.9);
     let found = compare(map.view(), map.view(), wrong).unwrap();
-    let null = null(map.view(), map.view(), wrong, 20, 7);
+    let null = null_distribution(map.view(), map.view(), wrong, 20, 7);
     let best = null.iter().map(|other| other.occupied_f1).fold(0.0, f64::max);
     assert!(found.occupied_f1 <= best + 0.1, "{found:?} against {best}");
 }

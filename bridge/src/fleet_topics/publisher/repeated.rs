@@ -2,7 +2,7 @@
 
 use super::super::table::FleetTopic;
 use super::{FleetPublisher, TopicSink};
-use msg::{Correction, Link, Monotonic, Pose2, RobotId, Stamp};
+use msg::{Correction, Monotonic, Pose2, RobotFrame, RobotId, Stamp};
 use ros_messages::cdr::Writer;
 use ros_messages::{names, write};
 
@@ -28,7 +28,7 @@ impl FleetPublisher {
         // The frame `odom`, and whether the transform belongs on the robot's own topic; `None` while it is not known.
         let odom_of = |robot| match frames {
             Some(frames) => frames.of(robot),
-            None => Some((self.names.link(robot, Link::Odom), false)),
+            None => Some((self.names.robot_frame(robot, RobotFrame::Odom), false)),
         };
         let on_tf = |robot| odom_of(robot).is_some_and(|(_, is_own)| !is_own);
         if repeated.due.iter().any(|(robot, _)| on_tf(*robot)) {

@@ -2,7 +2,7 @@
 
 use super::{FleetPublisher, TopicSink};
 use crate::fleet_topics::table::FleetTopic;
-use msg::{Link, RobotId, Transforms};
+use msg::{RobotFrame, RobotId, Transforms};
 use ros_messages::cdr::{DecodeError, Reader};
 use ros_messages::names::FleetFrame;
 use ros_messages::read;
@@ -21,14 +21,14 @@ impl FleetPublisher {
             return;
         }
         for link in transforms.links() {
-            let (parent, child) = (Link::from_code(link.parent), Link::from_code(link.child));
+            let (parent, child) = (RobotFrame::from_code(link.parent), RobotFrame::from_code(link.child));
             let (Some(parent), Some(child)) = (parent, child.filter(|child| child.is_fixed())) else {
                 continue;
             };
             self.static_transforms.insert(TransformStamped {
                 stamp: transforms.header.stamp,
-                frame_id: self.names.link(robot, parent).into(),
-                child_frame_id: self.names.link(robot, child).into(),
+                frame_id: self.names.robot_frame(robot, parent).into(),
+                child_frame_id: self.names.robot_frame(robot, child).into(),
                 translation: link.translation_m,
                 rotation: link.rotation_xyzw,
             });
@@ -87,7 +87,7 @@ impl FleetPublisher {
     fn published_name(&self, name: &str) -> String {
         let known = self.robots.parse_frame(name).filter(|(robot, _)| self.has(*robot));
         match known {
-            Some((robot, FleetFrame::Link(link))) => self.names.link(robot, link).into(),
+            Some((robot, FleetFrame::Robot(link))) => self.names.robot_frame(robot, link).into(),
             Some((robot, FleetFrame::Map)) => self.names.map(robot).into(),
             None => name.strip_prefix('/').unwrap_or(name).into(),
         }

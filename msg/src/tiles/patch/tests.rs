@@ -12,14 +12,14 @@ fn map(resolution_m: f64) -> TileMap {
 
 /// Changes a cell of a tile.
 fn draw(map: &mut TileMap, x: i64, y: i64, place: usize, cell: i8) {
-    assert!(map.grow_to(Rect::single(x, y), MAP_TILES_MAX));
+    assert!(map.grow_to(IndexRect::single(x, y), MAP_TILES_MAX));
     map.get_mut(x, y).unwrap().cells[place % TILE_CELLS] = cell;
     map.header.header.stamp.0 += 1;
 }
 
 fn same(a: &TileMap, b: &TileMap) -> bool {
     let all = a.extent().union(b.extent());
-    let cells = Rect { x0: all.x0 * TILE, y0: all.y0 * TILE, x1: all.x1 * TILE, y1: all.y1 * TILE };
+    let cells = IndexRect { x0: all.x0 * TILE, y0: all.y0 * TILE, x1: all.x1 * TILE, y1: all.y1 * TILE };
     a.header.header.stamp == b.header.header.stamp
         && a.header.same_lattice(&b.header)
         && cells.points().all(|(x, y)| a.cell(x, y) == b.cell(x, y))

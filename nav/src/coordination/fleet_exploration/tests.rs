@@ -1,7 +1,7 @@
 //! Goals that an exploration gives and takes away.
 
 use super::*;
-use crate::navigation::{NavigatorConfig, PlaceCertainty};
+use crate::navigation::{LocalizationUncertainty, NavigatorConfig};
 use crate::observation::{BURGER_BASE_FROM_SCAN, MapView, RobotObservation, ScanView};
 use msg::{Pose2, Stamp};
 
@@ -34,7 +34,7 @@ fn robots<'a>(cells: &'a [i8], count: usize) -> Vec<NavigatedRobot<'a>> {
                 observation,
                 odom_from_base: Some(pose),
                 map_from_robot_map: None,
-                certainty: None,
+                uncertainty: None,
             }
         })
         .collect()
@@ -114,7 +114,7 @@ fn a_robot_whose_place_becomes_uncertain_returns_to_one_that_it_knows() {
     let mut step = |x_m: f64, sigma_m: f64, is_fixed_by_scan: bool| {
         second += 1.0;
         robots[0].observation.map_from_base = Some(Pose2::new(x_m, 2.0, 0.0));
-        robots[0].certainty = Some(PlaceCertainty { sigma_m, is_fixed_by_scan });
+        robots[0].uncertainty = Some(LocalizationUncertainty { sigma_m, is_fixed_by_scan });
         let input =
             NavigationInput { stamp: Stamp::from_seconds(second), robots: &robots, exclusion_zones: &[] };
         exploration.step(&mut navigator, &input, &|_| false);

@@ -30,7 +30,7 @@ pub struct RejectedClosure {
 }
 
 /// State of loop closing.
-pub(super) struct LoopCloser {
+pub(super) struct LoopClosureState {
     pub detector: ClosureDetector,
     /// Length of the path so far, metres.
     pub travelled_m: f64,
@@ -41,12 +41,12 @@ pub(super) struct LoopCloser {
     /// Closures that people undid.
     pub rejected_closures: Vec<RejectedClosure>,
     /// Number of active closures.
-    pub in_force: u32,
+    pub active_count: u32,
     /// Number of closures retracted so far.
     pub retracted: u64,
 }
 
-impl LoopCloser {
+impl LoopClosureState {
     pub fn new(config: SlamConfig) -> Self {
         Self {
             detector: ClosureDetector::new(config),
@@ -54,7 +54,7 @@ impl LoopCloser {
             not_found: VecDeque::with_capacity(NOT_FOUND_MAX),
             to_retry: VecDeque::with_capacity(NOT_FOUND_MAX),
             rejected_closures: Vec::new(),
-            in_force: 0,
+            active_count: 0,
             retracted: 0,
         }
     }
