@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 /// Longest time between the launcher's first line, with which the run's folder is complete, and the signal. Channels are
 /// opened within it.
-const DELAY_MAX: Duration = Duration::from_millis(400);
+const DELAY_MAX: Duration = Duration::from_millis(50);
 /// Time between two looks at what the launcher wrote.
 const LOOK: Duration = Duration::from_millis(1);
 /// Robots of each fleet.
