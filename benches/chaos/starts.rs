@@ -3,6 +3,7 @@
 use crate::fleet::PATIENCE;
 use crate::hogs::Hogs;
 use crate::{Args, Row, Rows, launcher};
+use mr_slam::run::Run;
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde_json::json;
@@ -12,9 +13,8 @@ use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-/// Longest time between the launcher's first line, with which the run's folder is complete, and the signal. Channels are
-/// opened within it.
-const DELAY_MAX: Duration = Duration::from_millis(50);
+/// Longest time between the start of the first process and the signal. The launcher opens its channels within it.
+const DELAY_MAX: Duration = Duration::from_millis(30);
 /// Time between two looks at what the launcher wrote.
 const LOOK: Duration = Duration::from_millis(1);
 /// Robots of each fleet.
@@ -55,7 +55,7 @@ struct Stop {
     text: String,
 }
 
-/// Starts a fleet, and asks it to end `delay` after the run's folder is complete.
+/// Starts a fleet, and asks it to end `delay` after its first process is started.
 fn stop_after(dir: &Path, delay: Duration) -> Result<Stop, Box<dyn Error>> {
     let (run, output) = (dir.join("run"), dir.join("stderr.txt"));
     let mut fleet = launcher::command("up")
@@ -67,7 +67,9 @@ fn stop_after(dir: &Path, delay: Duration) -> Result<Stop, Box<dyn Error>> {
         .stderr(File::create(&output)?)
         .spawn()?;
     let text = || std::fs::read_to_string(&output).unwrap_or_default();
-    let is_complete = wait_until(|| text().lines().any(|line| line.starts_with("fleet of")));
+    // The supervisor creates this file before it starts the processes.
+    let starts = || Run::open_running(&run).is_ok_and(|run| run.domain.progress_file().exists());
+    let has_started = wait_until(starts);
     std::thread::sleep(delay);
     launcher::terminate(&fleet);
     let has_ended = wait_until(|| has_ended(&mut fleet));
@@ -75,7 +77,7 @@ fn stop_after(dir: &Path, delay: Duration) -> Result<Stop, Box<dyn Error>> {
         fleet.kill()?;
         fleet.wait()?;
     }
-    if !is_complete {
+    if !has_started {
         return Err(format!("a fleet did not start; it said: {}", text()).into());
     }
     Ok(Stop { has_report: run.join("report.json").exists(), has_ended, text: text() })

@@ -169,7 +169,7 @@ fn a_value_out_of_range_is_named_with_its_line_its_key_and_what_is_expected() {
         ),
         ("[realtime.cores]\nsim = [0]\nslam = [99999]", "fleet.toml:3: realtime.cores.slam has core 99999"),
         ("[sessions]\nmode = \"localization\"", "fleet.toml:2: sessions.mode is `localization`, which needs"),
-        ("[slam.map]\nhit = 99", "fleet.toml:2: slam.map.hit is 99, expected"),
+        ("[slam.map]\nhit_log_odds = 99", "fleet.toml:2: slam.map.hit_log_odds is 99, expected"),
         ("[merge.align]\nmargin_min = -2", "fleet.toml:2: merge.align.margin_min is -2; expected"),
         ("world = \"ros\"", "fleet.toml:1: world is `ros`, which needs ROS 2; expected bridge.dds.enabled"),
     ] {
