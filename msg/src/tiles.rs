@@ -115,10 +115,10 @@ impl MapHeader {
 ///
 /// ```
 /// use msg::tiles::MAP_TILES_MAX;
-/// use msg::{MapHeader, Rect, TileMap};
+/// use msg::{MapHeader, IndexRect, TileMap};
 ///
 /// let mut map = TileMap::new(MapHeader { resolution_m: 0.05, ..MapHeader::default() });
-/// assert!(map.grow_to(Rect::single(-1, 0), MAP_TILES_MAX));
+/// assert!(map.grow_to(IndexRect::single(-1, 0), MAP_TILES_MAX));
 /// map.get_mut(-1, 0).unwrap().cells[0] = msg::grid::LOG_ODDS_MAX;
 /// assert_eq!(map.cell(-64, 0), msg::grid::LOG_ODDS_MAX);
 ///

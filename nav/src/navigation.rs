@@ -87,7 +87,7 @@ pub struct RobotNavigation<'a> {
 ///     map_from_base: Some(pose),
 ///     scan: Some(scan),
 /// };
-/// let robots = [NavigatedRobot { observation, odom_from_base: Some(pose), map_from_robot_map: None, certainty: None }];
+/// let robots = [NavigatedRobot { observation, odom_from_base: Some(pose), map_from_robot_map: None, uncertainty: None }];
 /// navigator.step(&NavigationInput { stamp: Stamp(0), robots: &robots, exclusion_zones: &[] });
 ///
 /// let navigation = navigator.robots().next().unwrap();

@@ -52,7 +52,7 @@ struct ExploredMap {
 ///     map_from_base: Some(pose),
 ///     scan: None,
 /// };
-/// let robots = [NavigatedRobot { observation, odom_from_base: Some(pose), map_from_robot_map: None, certainty: None }];
+/// let robots = [NavigatedRobot { observation, odom_from_base: Some(pose), map_from_robot_map: None, uncertainty: None }];
 /// let input = NavigationInput { stamp: Stamp(0), robots: &robots, exclusion_zones: &[] };
 ///
 /// let mut exploration = FleetExploration::new(CoordinationConfig::default());
