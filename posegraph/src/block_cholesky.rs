@@ -89,7 +89,12 @@ impl SymbolicFactor {
                 next[column] += 1;
             }
             let diagonal = Cholesky::new(core::mem::take(&mut row[k]))?;
-            inverse_diagonal.push(diagonal.l().solve_lower_triangular(&Matrix3::identity())?);
+            let inverse = diagonal.l().solve_lower_triangular(&Matrix3::identity())?;
+            // An infinite pivot would hide what the row says.
+            if inverse.diagonal().iter().any(|pivot| *pivot == 0.0) {
+                return None;
+            }
+            inverse_diagonal.push(inverse);
         }
         Some(NumericFactor { symbolic: self, inverse_diagonal, below })
     }

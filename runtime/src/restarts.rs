@@ -10,7 +10,7 @@ const RESTART_DELAY: Duration = Duration::from_millis(200);
 const RESTART_DELAY_MAX: Duration = Duration::from_secs(5);
 /// Life time after which a child counts as recovered; its next death starts the back-off anew.
 const HEALTHY_AFTER: Duration = Duration::from_secs(10);
-/// Deaths in a row at which a process is held, because restarts do not help.
+/// Deaths in a row at which a process is given up, because restarts do not help.
 pub const DEATHS_MAX: u32 = 9;
 
 /// The state of one process.

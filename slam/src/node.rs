@@ -20,7 +20,7 @@ pub struct Node {
     pub local_from_base: Pose2,
     /// Pose in the frame of the node before, by odometry; `None` if unknown.
     pub previous_from_this: Option<Pose2>,
-    /// Whether the scan fitted the local map, or saw nothing that could fit; if not, only odometry ties it to the others.
+    /// Whether the scan fitted the local map, or saw nothing that could fit; if not, or if it saw nothing, only odometry ties it to the others.
     pub is_tracked: bool,
     /// Whether it contradicts the nodes before: the robot is not where odometry has it, and nothing
     /// connects this node with the ones before until it is located.

@@ -71,7 +71,7 @@ impl OdometryBuffer {
     }
 
     /// Pose of the writer's odometry frame in the continuous frame, which does not jump when the writer restarts.
-    /// SessionIdentity until then.
+    /// Identity until then.
     pub fn continuous_from_odom(&self) -> Pose2 {
         self.continuous_from_odom
     }

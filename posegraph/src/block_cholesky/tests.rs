@@ -70,10 +70,12 @@ proptest! {
 }
 
 #[test]
-fn a_matrix_with_nan_or_of_zeros_has_no_factor() {
+fn a_matrix_with_nan_infinity_or_of_zeros_has_no_factor() {
     let symbolic = SymbolicFactor::new(1, &[BlockIndex { row: 0, column: 0 }]).unwrap();
     assert!(symbolic.factor(&[Matrix3::zeros()]).is_none());
     assert!(symbolic.factor(&[Matrix3::from_element(f64::NAN)]).is_none());
+    assert!(symbolic.factor(&[Matrix3::identity() * f64::INFINITY]).is_none());
+    assert!(symbolic.factor(&[Matrix3::from_diagonal_element(f64::INFINITY)]).is_none());
 }
 
 /// A hub that all others touch, eliminated first, would join all of them.

@@ -271,8 +271,8 @@ fn check_front_end(front: &FrontEndState, nodes: usize) -> Result {
         let seconds = last.motion.map_or(0.0, |(_, seconds)| seconds);
         check((0.0..INTERVAL_S_MAX).contains(&seconds), "duration of the last motion")?;
     }
-    check_count(front.waiting.len(), WAITING_MAX, "frame_updates")?;
-    check_poses(front.waiting.iter().map(|frame_update| frame_update.map_from_local), "frame_update")?;
+    check_count(front.waiting.len(), WAITING_MAX, "frame updates")?;
+    check_poses(front.waiting.iter().map(|frame_update| frame_update.map_from_local), "frame update")?;
     check_count(front.odometry.len(), ODOMETRY_MAX, "odometry messages")?;
     check_poses(front.odometry.iter().map(|odometry| odometry.odom_from_base), "odometry")?;
     let sorted = front.odometry.is_sorted_by(|a, b| a.header.stamp < b.header.stamp);

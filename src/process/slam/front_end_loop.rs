@@ -235,7 +235,7 @@ impl FrontEndRunner {
         (self.last, step.rejected.is_none())
     }
 
-    /// Begins with a new front end: at the robot's last pose if the frame of the map stays `keeps_pose`.
+    /// Begins with a new front end: at the robot's last pose if it `keeps_pose`, as the frame of the map is the same.
     fn continue_after_replacement(&mut self, keeps_pose: bool) {
         (self.odom_pose, self.trajectory_start, self.waited) = (None, None, 0);
         match self.last.filter(|_| keeps_pose) {
