@@ -8,7 +8,7 @@
 use nalgebra::{Cholesky, Matrix3, Vector3};
 
 /// A block of the matrix on or below its diagonal: its row and its column, `row >= column`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct BlockIndex {
     /// Row, in blocks.
     pub row: usize,
@@ -64,10 +64,15 @@ impl SymbolicFactor {
         Some(Self { place_of_row, matrix_rows, factor_rows, factor_columns })
     }
 
+    /// Number of rows of the matrix.
+    pub fn rows(&self) -> usize {
+        self.place_of_row.len()
+    }
+
     /// Factors the matrix with these blocks, in the order of the indices given to [`SymbolicFactor::new`].
     /// `None` if it is not positive definite.
     pub fn factor(&self, blocks: &[Matrix3<f64>]) -> Option<NumericFactor<'_>> {
-        let rows = self.place_of_row.len();
+        let rows = self.rows();
         let mut inverse_diagonal: Vec<Matrix3<f64>> = Vec::with_capacity(rows);
         let mut below = vec![Matrix3::zeros(); self.factor_columns.items.len()];
         // By column: where its next block goes. Blocks before it are those of the rows that are done.
@@ -165,19 +170,20 @@ impl Lists<usize> {
 
 /// Place of each row in the elimination order.
 fn minimum_degree_order(rows: usize, blocks: &[BlockIndex]) -> Option<Vec<usize>> {
-    let mut by_column: Vec<BlockIndex> = blocks.to_vec();
-    by_column.sort_unstable_by_key(|block| (block.column, block.row));
-    by_column.dedup();
-    let mut offsets = vec![0; rows + 1];
-    by_column.iter().for_each(|block| offsets[block.column + 1] += 1);
-    (0..rows).for_each(|column| offsets[column + 1] += offsets[column]);
-    let row_indices: Vec<usize> = by_column.iter().map(|block| block.row).collect();
-    let (_, place_of_row, _) = amd::order(rows, &offsets, &row_indices, &amd::Control::default()).ok()?;
+    let mut by_column = vec![Vec::new(); rows];
+    blocks.iter().for_each(|block| by_column[block.column].push(block.row));
+    for rows in &mut by_column {
+        rows.sort_unstable();
+        rows.dedup();
+    }
+    let pattern = Lists::new(&by_column);
+    let (_, place_of_row, _) =
+        amd::order(rows, &pattern.offsets, &pattern.items, &amd::Control::default()).ok()?;
     Some(place_of_row)
 }
 
-/// By row of `L`: columns of its blocks before the diagonal, ascending. A row has a block in the column of each of the matrix's blocks,
-/// and in all columns on the way from there to the root of the elimination tree, up to the row.
+/// By row of `L`: columns of its blocks before the diagonal, ascending. A row has a block in the column of each of the
+/// matrix's blocks, and in all columns on the way from there to the root of the elimination tree, up to the row.
 fn factor_pattern(matrix_rows: &Lists<MatrixBlock>) -> Vec<Vec<usize>> {
     let rows = matrix_rows.offsets.len() - 1;
     let mut parent: Vec<Option<usize>> = vec![None; rows];

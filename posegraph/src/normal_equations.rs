@@ -9,8 +9,6 @@ use nalgebra::{Matrix3, Vector3};
 ///
 /// Pose 0 is fixed and has no unknowns; pose `k` has row `k - 1` of 3 x 3 blocks: x, y, yaw.
 pub(crate) struct Structure {
-    /// Number of poses that move.
-    rows: usize,
     symbolic: SymbolicFactor,
 }
 
@@ -30,15 +28,16 @@ impl Structure {
         let diagonal = (0..rows).map(|row| BlockIndex { row, column: row });
         let blocks: Vec<BlockIndex> =
             diagonal.chain(edges.iter().filter_map(below_diagonal).map(|(index, _)| index)).collect();
-        Some(Self { rows, symbolic: SymbolicFactor::new(rows, &blocks)? })
+        Some(Self { symbolic: SymbolicFactor::new(rows, &blocks)? })
     }
 
     /// Linearises all edges at these poses, with kernels `scale` times as wide. Every unknown has
     /// `prior` added on the diagonal.
     pub fn linearise(&self, poses: &[Pose2], edges: &[Edge], scale: f64, prior: f64) -> NormalEquations {
-        let mut hessian = Vec::with_capacity(self.rows + edges.len());
-        hessian.resize(self.rows, Matrix3::identity() * prior);
-        let mut gradient = vec![Vector3::zeros(); self.rows];
+        let rows = self.symbolic.rows();
+        let mut hessian = Vec::with_capacity(rows + edges.len());
+        hessian.resize(rows, Matrix3::identity() * prior);
+        let mut gradient = vec![Vector3::zeros(); rows];
         let mut cost = 0.0;
         for edge in edges {
             let (a, b) = (poses[edge.a], poses[edge.b]);
@@ -68,7 +67,7 @@ impl Structure {
         let mut damped = Vec::new();
         let hessian = if damping > 0.0 {
             damped.extend_from_slice(&equations.hessian);
-            for block in &mut damped[..self.rows] {
+            for block in &mut damped[..self.symbolic.rows()] {
                 (0..3).for_each(|k| block[(k, k)] *= 1.0 + damping);
             }
             &damped

@@ -41,7 +41,7 @@ impl Default for SolverOptions {
     }
 }
 
-/// Termination of a solution without an error.
+/// Why the iterations of a solution ended, without an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Termination {
     /// The last step was smaller than [`SolverOptions::step_min`].

@@ -3,6 +3,8 @@
 use super::{BlockIndex, SymbolicFactor};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use proptest::prelude::*;
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 const ROWS: usize = 9;
 
@@ -86,6 +88,44 @@ fn the_elimination_order_keeps_a_star_sparse() {
     let spokes = (1..rows).map(|row| BlockIndex { row, column: 0 });
     let symbolic = SymbolicFactor::new(rows, &diagonal.chain(spokes).collect::<Vec<_>>()).unwrap();
     assert_eq!(symbolic.factor_columns.items.len(), rows - 1);
+}
+
+/// As large as a robot's graph: a chain, and edges between places that lie anywhere along it.
+#[test]
+fn large_graphs_are_solved() {
+    for seed in 0..20 {
+        let mut random = SplitMix64::seed_from_u64(seed);
+        let rows = 1 + random.next_u32() as usize % 2000;
+        let mut indices: Vec<BlockIndex> = (0..rows).map(|row| BlockIndex { row, column: row }).collect();
+        let mut blocks = vec![Matrix3::identity(); rows];
+        let chain = (1..rows).map(|row| (row, row - 1));
+        let ends: Vec<(usize, usize)> = chain
+            .chain(
+                (0..3 * rows).map(|_| (random.next_u32() as usize % rows, random.next_u32() as usize % rows)),
+            )
+            .filter(|(row, column)| row > column)
+            .collect();
+        for (row, column) in ends {
+            let mut number = || f64::from(random.next_u32()) / f64::from(u32::MAX) - 0.5;
+            let [a, b] = [Matrix3::from_fn(|_, _| number()), Matrix3::from_fn(|_, _| number())];
+            blocks[row] += a.transpose() * a;
+            blocks[column] += b.transpose() * b;
+            indices.push(BlockIndex { row, column });
+            blocks.push(a.transpose() * b);
+        }
+        let right: Vec<Vector3<f64>> =
+            (0..rows).map(|row| Vector3::repeat(row as f64 / rows as f64)).collect();
+        let x = SymbolicFactor::new(rows, &indices).unwrap().factor(&blocks).unwrap().solve(&right);
+        let mut residual: Vec<Vector3<f64>> = right.iter().map(|value| -value).collect();
+        for (index, block) in indices.iter().zip(&blocks) {
+            residual[index.row] += block * x[index.column];
+            if index.row != index.column {
+                residual[index.column] += block.tr_mul(&x[index.row]);
+            }
+        }
+        let worst = residual.iter().map(Vector3::amax).fold(0.0, f64::max);
+        assert!(worst < 1e-9, "seed {seed}, {rows} rows: {worst}");
+    }
 }
 
 #[test]
