@@ -19,7 +19,7 @@ use crate::command::{handshake, name};
 use crate::command_queues::CommandQueues;
 use crate::config::BridgeConfig;
 use crate::drive::velocity_gate::{Velocity, VelocityGate};
-use crate::drive::{DriveArbiter, LeaseHolder};
+use crate::drive::{DriveArbiter, DriveClient};
 use crate::fleet_topics::{FleetMessage, FleetTopic, FleetTopics};
 use crate::frame::{Frame, Side};
 use crate::relay::RelayTable;
@@ -242,13 +242,13 @@ impl Core {
     }
 
     /// Returns a client as the driver of a robot.
-    fn driver(&self, id: ClientId) -> LeaseHolder {
+    fn driver(&self, id: ClientId) -> DriveClient {
         let address = self.router.client(id).map(|client| client.peer.ip().to_canonical());
-        LeaseHolder { client: Some(id), address }
+        DriveClient { client: Some(id), address }
     }
 
     /// Returns a driver's name for people.
-    fn driver_name(&self, driver: LeaseHolder) -> String {
+    fn driver_name(&self, driver: DriveClient) -> String {
         match (driver.client, driver.address) {
             (Some(id), _) => self.client_name(id),
             (None, Some(address)) => format!("{address}, which drove it before the bridge was restarted"),

@@ -7,16 +7,16 @@ use msg::{Monotonic, ROBOTS_MAX, RobotId};
 use std::net::IpAddr;
 use std::time::Duration;
 
-/// Who drives a robot: a client, or one that drove it before the bridge was restarted and is not connected yet.
+/// A client that drives a robot or asks to, or one that drove it before the bridge was restarted and is not connected yet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LeaseHolder {
+pub struct DriveClient {
     /// The connection; `None` for a driver of before the restart.
     pub client: Option<ClientId>,
     /// The client's address; `None` for all participants on DDS together.
     pub address: Option<IpAddr>,
 }
 
-impl LeaseHolder {
+impl DriveClient {
     /// Returns whether `other` may use this driver's lease: the same connection, or the same address after a restart.
     fn is_same(&self, other: &Self) -> bool {
         match self.client {
@@ -34,7 +34,7 @@ pub enum DriveDecision {
     /// It is dropped without an error: a zero velocity from a client that does not drive the robot.
     Ignore,
     /// It is refused: another client drives the robot.
-    DrivenBy(LeaseHolder),
+    DrivenBy(DriveClient),
     /// It is refused: the emergency stop is set.
     Stopped,
 }
@@ -42,7 +42,7 @@ pub enum DriveDecision {
 #[derive(Clone, Copy, Debug, Default)]
 struct RobotDrive {
     /// Who holds the robot, and until when.
-    lease: Option<(LeaseHolder, Monotonic)>,
+    lease: Option<(DriveClient, Monotonic)>,
     /// The client whose velocity was the last to pass.
     last_driver: Option<ClientId>,
     /// Whether the navigator drives the robot to a goal.
@@ -103,7 +103,7 @@ impl DriveArbiter {
     }
 
     /// Returns who holds the robot's lease now.
-    pub fn leaseholder(&self, robot: RobotId, now: Monotonic) -> Option<LeaseHolder> {
+    pub fn leaseholder(&self, robot: RobotId, now: Monotonic) -> Option<DriveClient> {
         self.robots[robot.index()].lease.filter(|(_, until)| now < *until).map(|(driver, _)| driver)
     }
 
@@ -113,7 +113,7 @@ impl DriveArbiter {
     /// that a client that sends zeros at 20 Hz keeps no robot from others.
     pub fn decide(
         &mut self,
-        driver: LeaseHolder,
+        driver: DriveClient,
         robot: RobotId,
         is_moving: bool,
         now: Monotonic,
@@ -171,10 +171,10 @@ impl DriveArbiter {
     /// Gives the lease of a robot to a driver; returns the other one that held it.
     pub fn take_control(
         &mut self,
-        driver: LeaseHolder,
+        driver: DriveClient,
         robot: RobotId,
         now: Monotonic,
-    ) -> Option<LeaseHolder> {
+    ) -> Option<DriveClient> {
         let before = self.leaseholder(robot, now).filter(|holder| !holder.is_same(&driver));
         self.robots[robot.index()].lease = Some((driver, now + self.lease));
         before
@@ -183,7 +183,7 @@ impl DriveArbiter {
     /// Keeps a robot for a driver of before a restart until `until`: nobody else may drive it without taking it over.
     pub fn restore_lease(&mut self, robot: RobotId, address: Option<IpAddr>, until: Monotonic) {
         if let Some(state) = self.robots.get_mut(robot.index()) {
-            state.lease = Some((LeaseHolder { client: None, address }, until));
+            state.lease = Some((DriveClient { client: None, address }, until));
         }
     }
 
@@ -215,9 +215,9 @@ impl DriveArbiter {
 mod tests {
     use super::*;
 
-    fn client(serial: u64) -> LeaseHolder {
+    fn client(serial: u64) -> DriveClient {
         let client = ClientId { slot: serial as usize, serial };
-        LeaseHolder { client: Some(client), address: Some([10, 0, 0, serial as u8].into()) }
+        DriveClient { client: Some(client), address: Some([10, 0, 0, serial as u8].into()) }
     }
 
     fn at_ms(ms: u64) -> Monotonic {
@@ -272,7 +272,7 @@ mod tests {
         let (former, stranger) = (client(1), client(2));
         let mut drive = DriveArbiter::new(1, robot, Duration::from_secs(1));
         drive.restore_lease(robot, former.address, at_ms(4000));
-        let before = LeaseHolder { client: None, ..former };
+        let before = DriveClient { client: None, ..former };
         assert_eq!(drive.decide(stranger, robot, true, at_ms(100)), DriveDecision::DrivenBy(before));
         assert_eq!(drive.decide(stranger, robot, false, at_ms(100)), DriveDecision::Ignore);
         assert_eq!(drive.decide(former, robot, true, at_ms(200)), DriveDecision::Pass);

@@ -224,14 +224,14 @@ impl FleetPoseGraph {
     }
 
     /// Applies the result of a task.
-    pub fn apply_result(&mut self, outcome: TaskResult) {
+    pub fn apply_result(&mut self, result: TaskResult) {
         self.task_is_out = false;
-        if outcome.sources != self.sources() {
+        if result.sources != self.sources() {
             // A robot's SLAM was restarted meanwhile: the result is about submaps that are gone.
             self.needs_solve = true;
             return;
         }
-        match outcome.result {
+        match result.result {
             JobResult::Aligned(maps) => self.apply_alignment(maps),
             JobResult::Checked(maps) => self.apply_check(*maps),
             JobResult::Matched(submaps) => {

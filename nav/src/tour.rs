@@ -39,7 +39,7 @@ pub struct RobotTourStats {
     /// Number of turns that the robot had; 0 if all robots were driven at once.
     pub turns: u32,
     /// Length of all its turns, seconds.
-    pub driven_s: f64,
+    pub held_s: f64,
     /// What its explorer has done.
     pub exploration: ExplorationStats,
 }
@@ -67,7 +67,7 @@ pub struct ExplorationTour {
     active: usize,
     turn_started: Option<Stamp>,
     turns: [u32; ROBOTS_MAX],
-    driven_s: [f64; ROBOTS_MAX],
+    held_s: [f64; ROBOTS_MAX],
     last_step: Option<Stamp>,
 }
 
@@ -81,7 +81,7 @@ impl ExplorationTour {
             active: 0,
             turn_started: None,
             turns: [0; ROBOTS_MAX],
-            driven_s: [0.0; ROBOTS_MAX],
+            held_s: [0.0; ROBOTS_MAX],
             last_step: None,
         };
         robots.into_iter().for_each(|robot| tour.add(robot));
@@ -109,7 +109,7 @@ impl ExplorationTour {
         self.last_step = Some(now);
         let explorer = &mut self.explorers[self.active];
         let robot = explorer.robot();
-        self.driven_s[robot.index()] += elapsed_s.clamp(0.0, STEP_MAX_S);
+        self.held_s[robot.index()] += elapsed_s.clamp(0.0, STEP_MAX_S);
         let started = *self.turn_started.get_or_insert_with(|| {
             self.turns[robot.index()] += 1;
             now
@@ -149,8 +149,8 @@ impl ExplorationTour {
     pub fn stats(&self) -> impl Iterator<Item = RobotTourStats> + '_ {
         self.explorers.iter().map(|explorer| {
             let robot = explorer.robot();
-            let (turns, driven_s) = (self.turns[robot.index()], self.driven_s[robot.index()]);
-            RobotTourStats { robot, turns, driven_s, exploration: explorer.stats() }
+            let (turns, held_s) = (self.turns[robot.index()], self.held_s[robot.index()]);
+            RobotTourStats { robot, turns, held_s, exploration: explorer.stats() }
         })
     }
 

@@ -209,7 +209,7 @@ impl<'a> ControlLoop<'a> {
         let robots = tour.stats().map(|stats| RobotReport {
             robot: stats.robot.number(),
             turns: stats.turns,
-            held_s: stats.driven_s,
+            held_s: stats.held_s,
             did: ExplorationReport::from(stats.exploration),
         });
         Ok(OperatorReport {

@@ -52,7 +52,7 @@ pub enum Termination {
     Stalled,
 }
 
-/// Summary of a solution: its outcome, effort and cost.
+/// Summary of a solution: why it ended, effort and cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
     /// Reason why the iterations ended.
@@ -155,8 +155,8 @@ fn minimise(poses: &mut [Pose2], edges: &[Edge], options: &SolverOptions) -> Res
             Step::None { .. } => Some(Termination::Stalled),
             Step::Singular => return Err(SolveError::Singular { iteration }),
         };
-        if let Some(outcome) = done.filter(|_| scale <= 1.0) {
-            summary.termination = outcome;
+        if let Some(termination) = done.filter(|_| scale <= 1.0) {
+            summary.termination = termination;
             break;
         }
         scale = (scale / GRADUATION_FACTOR).max(1.0);

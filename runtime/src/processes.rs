@@ -4,9 +4,9 @@ use msg::{RobotId, Role};
 use std::fmt;
 use std::time::Duration;
 
-/// Pose that the supervisor gives a process that it starts again.
+/// What a process that is started again begins from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RestartState {
+pub enum RestartInput {
     /// Nothing: the process finds what it needs in the run's folder.
     Folder,
     /// The robot's last pose in `world`.
@@ -15,7 +15,7 @@ pub enum RestartState {
     MapFromOdom,
 }
 
-impl fmt::Display for RestartState {
+impl fmt::Display for RestartInput {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Folder => "what the run's folder holds",
@@ -36,8 +36,8 @@ pub struct ProcessRow {
     pub simulated_world_only: bool,
     /// Whether it runs only where the fleet is recorded.
     pub recording_only: bool,
-    /// Pose that it is given when it is started again.
-    pub restart_state: RestartState,
+    /// What it begins from when it is started again.
+    pub restart_input: RestartInput,
     /// Longest time without a pass of its main loop; then the supervisor judges whether it hangs.
     pub silence_max: Duration,
     /// Name of its second thread that the supervisor watches.
@@ -64,7 +64,7 @@ const OF_FLEET: ProcessRow = ProcessRow {
     per_robot: false,
     simulated_world_only: false,
     recording_only: false,
-    restart_state: RestartState::Folder,
+    restart_input: RestartInput::Folder,
     silence_max: SILENCE_MAX,
     second_thread: None,
 };
@@ -83,7 +83,7 @@ pub static PROCESSES: [ProcessRow; 7] = [
     ProcessRow {
         role: Role::Slam,
         per_robot: true,
-        restart_state: RestartState::MapFromOdom,
+        restart_input: RestartInput::MapFromOdom,
         second_thread: Some("back end"),
         ..OF_FLEET
     },
@@ -91,7 +91,7 @@ pub static PROCESSES: [ProcessRow; 7] = [
         role: Role::Sim,
         per_robot: true,
         simulated_world_only: true,
-        restart_state: RestartState::WorldFromBase,
+        restart_input: RestartInput::WorldFromBase,
         ..OF_FLEET
     },
     ProcessRow { role: Role::Record, recording_only: true, ..OF_FLEET },

@@ -1,4 +1,4 @@
-//! Evidence that a map is wrong: walls that another pass saw through, odometry that the map stretches, and much of the path
+//! Evidence that a map is wrong: walls that another pass saw through, odometry that the map's motion contradicts, and much of the path
 //! without a known place. And where in the path the error is, if one place explains what contradicts.
 //!
 //! A closure that is wrong by metres fits its own scans, or it would not have been accepted. It shows elsewhere: the scans
@@ -23,12 +23,12 @@ const WINDOW_POINTS_MIN: u32 = 100;
 const CONTRADICTED_SHARE_MAX: f32 = 0.3;
 /// Steps over which the map is compared with odometry: 2.4 m of path, short enough that a slip of the wheels shows
 /// less than a path torn by a wrong closure.
-const STRETCH_STEPS: usize = 8;
+const RESIDUAL_STEPS: usize = 8;
 /// Standard deviation of odometry that does not depend on the number of steps, metres: the scans' own noise.
-const STRETCH_SIGMA_M: f64 = 0.05;
+const RESIDUAL_SIGMA_M: f64 = 0.05;
 /// Standard deviation of the length of all steps together, as a wrong wheel radius has it, metres per metre.
-const STRETCH_SIGMA_M_PER_M: f64 = 0.03;
-/// A stretch from here on is evidence, standard deviations. Right maps of generated logs, slipping wheels included, have at
+const RESIDUAL_SIGMA_M_PER_M: f64 = 0.03;
+/// A residual from here on is evidence, standard deviations. Right maps of generated logs, slipping wheels included, have at
 /// most 4.1.
 const RESIDUAL_SIGMAS_MAX: f64 = 4.5;
 /// A share of the nodes from here on that is not tied is evidence: what separates them may be in the map as well.
@@ -191,18 +191,18 @@ pub struct OdometryStep {
 /// Largest difference between map and odometry over consecutive steps, in standard deviations of odometry; `None` is a step
 /// that odometry did not measure.
 pub fn odometry_residual_sigmas(steps: &[Option<OdometryStep>]) -> f64 {
-    let stretch = |window: &[Option<OdometryStep>]| {
-        let (mut error, mut length_m, mut variance) = ([0.0; 2], 0.0, STRETCH_SIGMA_M * STRETCH_SIGMA_M);
+    let residual = |window: &[Option<OdometryStep>]| {
+        let (mut error, mut length_m, mut variance) = ([0.0; 2], 0.0, RESIDUAL_SIGMA_M * RESIDUAL_SIGMA_M);
         for step in window {
             let step = (*step)?;
             error = [error[0] + step.error_m[0], error[1] + step.error_m[1]];
             length_m += step.length_m;
             variance += step.sigma_m * step.sigma_m;
         }
-        variance += (STRETCH_SIGMA_M_PER_M * length_m).powi(2);
+        variance += (RESIDUAL_SIGMA_M_PER_M * length_m).powi(2);
         Some(error[0].hypot(error[1]) / variance.sqrt())
     };
-    steps.windows(STRETCH_STEPS).filter_map(stretch).fold(0.0, f64::max)
+    steps.windows(RESIDUAL_STEPS).filter_map(residual).fold(0.0, f64::max)
 }
 
 /// Evidence that a map is wrong.

@@ -14,7 +14,7 @@ use crate::process::merge::{self, MergeProcess};
 use crate::process::nav::NavigationProcess;
 use crate::process::nav::state_file::NavigationFile;
 use crate::process::sim::SimulatorProcess;
-use crate::process::slam::files::SessionFileJob;
+use crate::process::slam::files::SlamFileJob;
 use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
 use crate::process::telemetry::TelemetryProcess;
 use crate::process::{Error, ProcessLoop};
@@ -90,7 +90,7 @@ pub struct SlamBody {
     /// Scan path, back-end thread and file thread, called in turn.
     pub process: SlamProcess<MemoryPorts, MemoryStorage>,
     input: Option<BackEndInput>,
-    job: Option<SessionFileJob>,
+    job: Option<SlamFileJob>,
     /// An outcome that the back end has no room for.
     outcome: Option<BackEndInput>,
 }

@@ -2,9 +2,9 @@
 //! closes loops, solves, draws the map and answers requests ([`back_end`]); a third reads and writes files ([`files`]).
 //!
 //! ```text
-//!  scans ─▶ scan path ── FrontEvent: nodes, state ────▶ back end ── SessionFileJob ────────▶ files
-//!               ▲                                        │    ▲                     │
-//!               └─ FrontCommand: frame updates, pause, map ──┘    └──── FileJobOutcome ─────┘
+//!  scans ─▶ scan path ── FrontEvent: nodes, state ────────▶ back end ── SlamFileJob ───▶ files
+//!               ▲                                            │    ▲                  │
+//!               └─ FrontCommand: frame updates, pause, map ──┘    └── FileJobOutcome ┘
 //! ```
 
 mod autosave;
@@ -30,7 +30,7 @@ use ::slam::{
     SlamConfig,
 };
 use back_end::BackEndWorker;
-use files::{FileJobOutcome, SessionFileJob, SlamFileWorker};
+use files::{FileJobOutcome, SlamFileJob, SlamFileWorker};
 use front_end_loop::FrontEndLoop;
 use msg::{Header, Pose2, RobotId, Role, SlamMode};
 use session_log::LogEnd;
@@ -112,7 +112,7 @@ pub struct SlamProcess<P: Ports, S> {
     /// Queue to the back end.
     pub inputs: Receiver<BackEndInput>,
     /// Queue to the file worker.
-    pub jobs: Receiver<SessionFileJob>,
+    pub jobs: Receiver<SlamFileJob>,
 }
 
 impl<P: Ports, S: Storage> SlamProcess<P, S> {
@@ -129,7 +129,7 @@ impl<P: Ports, S: Storage> SlamProcess<P, S> {
         let Start { front, back, odom_pose } = begin(run, robot, at, &storage, &scan_ports.clock())?;
         let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
         let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
-        let (job_sender, jobs) = sync_channel::<SessionFileJob>(files::JOBS_MAX);
+        let (job_sender, jobs) = sync_channel::<SlamFileJob>(files::JOBS_MAX);
         let outcomes = events.clone();
         let front_end_loop =
             FrontEndLoop::open(scan_ports, run, robot, (front, odom_pose), events, commands_in)?;
@@ -145,7 +145,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     let begun = begin(run, robot, at, &DiskStorage, &scan_ports.clock())?;
     let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
     let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
-    let (job_sender, jobs) = sync_channel::<SessionFileJob>(files::JOBS_MAX);
+    let (job_sender, jobs) = sync_channel::<SlamFileJob>(files::JOBS_MAX);
     let mut files = SlamFileWorker::new(live_config(run), DiskStorage, scan_ports.clock(), events.clone());
     let Start { front, back, odom_pose } = begun;
     let mut front_end_loop =

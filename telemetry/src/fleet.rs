@@ -141,7 +141,7 @@ impl Telemetry {
         self.compare_pairs();
         let pairs = self.pairs.means();
         let (room, world_from_map) = (self.room.as_ref(), self.world_from_map());
-        let errors = self.merged.errors(room, world_from_map);
+        let accuracy = self.merged.accuracy(room, world_from_map);
         self.stats = FleetStats {
             header: Header { stamp, ..Default::default() },
             robot_count: self.robots.len() as u32,
@@ -155,10 +155,10 @@ impl Telemetry {
             null_consistency_mean: pairs.null_agreement_mean,
             null_f1_mean: pairs.null_f1_mean,
             null_count: pairs.null_count,
-            room_f1: errors.occupied_f1,
-            map_to_room_m: errors.map_to_room_m,
-            room_to_map_m: errors.room_to_map_m,
-            wall_thickness_m: errors.wall_thickness_m,
+            room_f1: accuracy.occupied_f1,
+            map_to_room_m: accuracy.map_to_room_m,
+            room_to_map_m: accuracy.room_to_map_m,
+            wall_thickness_m: accuracy.wall_thickness_m,
             processes: self.processes.health(now),
             ..Default::default()
         };

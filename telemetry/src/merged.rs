@@ -9,7 +9,7 @@ const CALLS_BETWEEN_COMPARISONS: usize = 5;
 /// Cells of the map for which one call is added: a comparison takes about 40 ms for a million cells.
 const CELLS_PER_EXTRA_CALL: usize = 100_000;
 
-/// The newest merged map, its cell counts, and its errors against the room.
+/// The newest merged map, its cell counts, and its accuracy against the room.
 #[derive(Default)]
 pub(crate) struct MergedMap {
     grid: Grid,
@@ -18,9 +18,9 @@ pub(crate) struct MergedMap {
     version: u64,
     /// Version, transform and result of the newest coverage.
     coverage: Option<(u64, Pose2, f64)>,
-    errors: Option<MapAccuracy>,
-    /// Calls since `errors` was computed.
-    errors_age: usize,
+    accuracy: Option<MapAccuracy>,
+    /// Calls since `accuracy` was computed.
+    accuracy_age: usize,
 }
 
 impl MergedMap {
@@ -43,18 +43,18 @@ impl MergedMap {
 
     /// Errors of the map's walls against the room, computed now and then. NaN where the room or the transform is
     /// unknown.
-    pub fn errors(&mut self, room: Option<&ObservableArea>, world_from_map: Option<Pose2>) -> MapAccuracy {
+    pub fn accuracy(&mut self, room: Option<&ObservableArea>, world_from_map: Option<Pose2>) -> MapAccuracy {
         let (Some(room), Some(world_from_map)) = (room, world_from_map) else {
-            self.errors = None;
+            self.accuracy = None;
             return MapAccuracy::UNKNOWN;
         };
-        self.errors_age += 1;
+        self.accuracy_age += 1;
         let due = CALLS_BETWEEN_COMPARISONS + self.grid.cells.len() / CELLS_PER_EXTRA_CALL;
-        if self.version > 0 && (self.errors.is_none() || self.errors_age >= due) {
-            self.errors = Some(room.compare(self.grid.view(), world_from_map));
-            self.errors_age = 0;
+        if self.version > 0 && (self.accuracy.is_none() || self.accuracy_age >= due) {
+            self.accuracy = Some(room.compare(self.grid.view(), world_from_map));
+            self.accuracy_age = 0;
         }
-        self.errors.unwrap_or(MapAccuracy::UNKNOWN)
+        self.accuracy.unwrap_or(MapAccuracy::UNKNOWN)
     }
 
     /// Share of the room's observable cells that the map knows, computed when the map or the transform changes. NaN where

@@ -120,7 +120,7 @@ pub struct MapAccuracy {
 }
 
 impl MapAccuracy {
-    /// No errors are known: all figures are NaN.
+    /// Nothing is known: all figures are NaN.
     pub(crate) const UNKNOWN: Self = Self {
         occupied_f1: f64::NAN,
         map_to_room_m: f64::NAN,

@@ -2,7 +2,7 @@
 
 use super::Bridge;
 use crate::core::Core;
-use crate::drive::LeaseHolder;
+use crate::drive::DriveClient;
 use crate::drive::velocity_gate::RobotLimits;
 use crate::room_offer::RoomOffer;
 use crate::router::ClientId;
@@ -152,7 +152,7 @@ fn robot_status(core: &Core, robot: RobotId, viewer: ClientId, now: Monotonic) -
     }
 }
 
-fn driver_name(core: &Core, driver: LeaseHolder) -> String {
+fn driver_name(core: &Core, driver: DriveClient) -> String {
     let peer = driver.client.and_then(|id| core.router.client(id)).map(|client| client.peer.to_string());
     peer.or_else(|| driver.address.map(|address| address.to_string())).unwrap_or_else(|| "ROS 2".into())
 }

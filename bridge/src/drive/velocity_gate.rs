@@ -6,7 +6,7 @@
 mod tests;
 
 use crate::config::VelocityConfig;
-use crate::drive::{DriveArbiter, DriveDecision, LeaseHolder};
+use crate::drive::{DriveArbiter, DriveClient, DriveDecision};
 use crate::router::ClientId;
 use msg::{Monotonic, ROBOTS_MAX, RobotId};
 use std::collections::VecDeque;
@@ -79,7 +79,7 @@ pub enum GateDecision {
     /// It is dropped without an error: a zero velocity from a client that does not drive the robot.
     Ignored,
     /// It is refused: another client drives the robot.
-    DrivenBy(LeaseHolder),
+    DrivenBy(DriveClient),
     /// It is refused: the emergency stop is set.
     Stopped,
     /// It is refused: a component is infinite or not a number.
@@ -147,7 +147,7 @@ impl VelocityGate {
     /// Decides on one velocity of a driver, and sends it to the robot if it passes.
     pub fn request(
         &mut self,
-        driver: LeaseHolder,
+        driver: DriveClient,
         robot: RobotId,
         velocity: Velocity,
         now: Monotonic,
@@ -196,7 +196,7 @@ impl VelocityGate {
     }
 
     /// Gives a robot to a driver and stops it; returns the other client that drove it.
-    pub fn take_control(&mut self, driver: LeaseHolder, robot: RobotId, now: Monotonic) -> Option<ClientId> {
+    pub fn take_control(&mut self, driver: DriveClient, robot: RobotId, now: Monotonic) -> Option<ClientId> {
         let before = self.drive.take_control(driver, robot, now)?;
         self.stop(robot);
         before.client

@@ -69,8 +69,8 @@ pub struct FleetExploration {
     sent: [Option<SentGoal>; ROBOTS_MAX],
     /// Where each robot was first, in its own map.
     homes: [Option<Pose2>; ROBOTS_MAX],
-    /// Robots that persons have taken.
-    taken: [bool; ROBOTS_MAX],
+    /// Robots that persons drive, have stopped or sent somewhere.
+    manual: [bool; ROBOTS_MAX],
     availability: [Option<RobotAvailability>; ROBOTS_MAX],
     lost: LostRobots,
     revisits: [Revisits; ROBOTS_MAX],
@@ -86,7 +86,7 @@ impl FleetExploration {
             maps: Vec::new(),
             sent: [const { None }; ROBOTS_MAX],
             homes: [None; ROBOTS_MAX],
-            taken: [false; ROBOTS_MAX],
+            manual: [false; ROBOTS_MAX],
             availability: [None; ROBOTS_MAX],
             lost: LostRobots::default(),
             revisits: core::array::from_fn(|_| Revisits::default()),
@@ -151,16 +151,16 @@ impl FleetExploration {
         self.homes[robot.index()] = Some(robot_map_from_home);
     }
 
-    /// Whether a person has taken a robot.
+    /// Whether a person drives a robot, has stopped it or gave it a goal.
     pub fn is_manual(&self, robot: RobotId) -> bool {
-        self.taken[robot.index()]
+        self.manual[robot.index()]
     }
 
     /// Takes a robot out of the exploration, because a person drives it, has stopped it or gives it a goal.
     ///
     /// A goal that the exploration gave it stays with the navigator unless `has_new_goal`.
     pub fn set_manual(&mut self, robot: RobotId, has_new_goal: bool) {
-        self.taken[robot.index()] = true;
+        self.manual[robot.index()] = true;
         if has_new_goal {
             self.sent[robot.index()] = None;
         }
@@ -168,7 +168,7 @@ impl FleetExploration {
 
     /// Gives a robot back to the exploration.
     pub fn release_manual(&mut self, robot: RobotId) {
-        self.taken[robot.index()] = false;
+        self.manual[robot.index()] = false;
     }
 
     /// Sets and cancels the navigator's goals. Call it before each step of the navigator.
@@ -225,7 +225,7 @@ impl FleetExploration {
         let state = navigator.robots().find(|navigation| navigation.robot == id).map(|n| n.state);
         let availability = match state {
             _ if is_silent(id) => RobotAvailability::Silent,
-            _ if self.taken[id.index()] => RobotAvailability::Manual,
+            _ if self.manual[id.index()] => RobotAvailability::Manual,
             Some(NavigationState::Paused) => RobotAvailability::Manual,
             _ if pose.is_none() => RobotAvailability::Lost,
             _ => RobotAvailability::Free,

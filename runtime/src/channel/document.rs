@@ -66,7 +66,7 @@ fn process_table() -> String {
             "| {} | {each} | `mr-slam worker {}` | {} |",
             row.role.name(),
             row.role.name(),
-            row.restart_state
+            row.restart_input
         );
     }
     text

@@ -107,7 +107,8 @@ impl FrontEnd {
             self.nodes.unmeasured_s = 0.0;
             return;
         }
-        let leaves_open = pose.state == TrackingState::Lost || pose.position_sigma_max_m > UNMEASURED_SIGMA_M;
+        let leaves_open =
+            pose.state == TrackingState::Lost || pose.worst_position_sigma_m > UNMEASURED_SIGMA_M;
         if let (true, Some(last)) = (leaves_open, self.motion.last.as_ref()) {
             self.nodes.unmeasured_s += (stamp - last.stamp) as f32;
         }

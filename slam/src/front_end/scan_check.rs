@@ -89,7 +89,7 @@ impl FrontEnd {
             state: if last.is_some() { TrackingState::Lost } else { TrackingState::Starting },
             is_tracked: false,
             slipped: false,
-            position_sigma_max_m: f64::INFINITY,
+            worst_position_sigma_m: f64::INFINITY,
         };
         let correction = self.correction(scan, &pose, None);
         ScanResult {

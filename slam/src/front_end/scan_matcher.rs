@@ -52,7 +52,7 @@ pub(super) struct TrackedPose {
     /// Whether the scan clearly contradicts odometry.
     pub slipped: bool,
     /// Standard deviation in the direction that the scan leaves open most, metres; infinite if it fits nothing.
-    pub position_sigma_max_m: f64,
+    pub worst_position_sigma_m: f64,
 }
 
 /// Surfaces of some newest nodes as a field to search in.
@@ -110,11 +110,11 @@ impl ScanMatcher {
             state: TrackingState::Lost,
             is_tracked: false,
             slipped: false,
-            position_sigma_max_m: f64::INFINITY,
+            worst_position_sigma_m: f64::INFINITY,
         };
         if self.references.is_empty() {
             let state = TrackingState::Starting;
-            return TrackedPose { state, is_tracked: true, position_sigma_max_m: 0.0, ..predicted };
+            return TrackedPose { state, is_tracked: true, worst_position_sigma_m: 0.0, ..predicted };
         }
         if cloud.points().len() < config.tracking.points_min {
             let state = state_by_odometry(prediction);
@@ -191,8 +191,8 @@ impl ScanMatcher {
         }
         let floor = Matrix3::from_diagonal(&Vector3::from(COVARIANCE_FLOOR));
         let covariance = (fit.information_without_noise + information).try_inverse()? + floor;
-        let position_sigma_max_m = largest_sigma_m(&fit.information_without_noise)?;
-        let degenerate = position_sigma_max_m > config.tracking.degenerate_sigma_m;
+        let worst_position_sigma_m = largest_sigma_m(&fit.information_without_noise)?;
+        let degenerate = worst_position_sigma_m > config.tracking.degenerate_sigma_m;
         let state = if degenerate { TrackingState::Degenerate } else { TrackingState::Tracking };
         let local_from_base = fit.frame_from_cloud;
         Some(TrackedPose {
@@ -201,7 +201,7 @@ impl ScanMatcher {
             state,
             is_tracked: true,
             slipped,
-            position_sigma_max_m,
+            worst_position_sigma_m,
         })
     }
 

@@ -242,9 +242,9 @@ impl<P: Ports> Exploration<P> {
             return;
         }
         let mut exploration = FleetExploration::new(self.config);
-        for (number, is_taken, home) in &saved.robots {
+        for (number, is_manual, home) in &saved.robots {
             let Some(robot) = RobotId::new(*number) else { continue };
-            if *is_taken {
+            if *is_manual {
                 exploration.set_manual(robot, true);
             }
             let home = home.map(|[x_m, y_m, yaw_rad]| Pose2::new(x_m, y_m, yaw_rad));

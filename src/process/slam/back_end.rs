@@ -2,7 +2,7 @@
 
 use super::autosave::Autosave;
 use super::commands::CommandSender;
-use super::files::{FileJobOutcome, FileOperation, Loaded, SessionFileJob};
+use super::files::{FileJobOutcome, FileOperation, Loaded, SlamFileJob};
 use super::services::{PendingRequest, Services};
 use super::session_log::{LogEnd, SessionLog};
 use super::{BackEndInput, FrontCommand, FrontEvent, TrajectoryStart};
@@ -44,7 +44,7 @@ impl<P: Ports> BackEndWorker<P> {
         robot: RobotId,
         (back, log_end): (BackEnd, LogEnd),
         commands: SyncSender<FrontCommand>,
-        jobs: SyncSender<SessionFileJob>,
+        jobs: SyncSender<SlamFileJob>,
     ) -> Result<Self, ChannelError> {
         let clock = ports.clock();
         let now = clock.now();
@@ -136,7 +136,7 @@ pub struct WorkerState {
     pub identity: SessionIdentity,
     /// Sender of commands to the scan path.
     pub commands: CommandSender,
-    jobs: SyncSender<SessionFileJob>,
+    jobs: SyncSender<SlamFileJob>,
     autosave: Autosave,
     log: SessionLog,
     /// Number of the current or next front end: events of earlier ones are ignored.
@@ -252,7 +252,7 @@ impl WorkerState {
     /// Sends a job to the file worker; returns false if its queue is full.
     pub fn give(&self, request: Option<&SlamRequest>, path: PathBuf, work: FileOperation) -> bool {
         let request = request.map(|request| Box::new(*request));
-        self.jobs.try_send(SessionFileJob { request, path, work }).is_ok()
+        self.jobs.try_send(SlamFileJob { request, path, work }).is_ok()
     }
 
     /// Returns the session to save, with the scan path at `state`.
@@ -319,7 +319,7 @@ impl WorkerState {
         if self.autosave.is_wanted() && same_front && !self.back.nodes().is_empty() {
             let work = FileOperation::Save(self.session_after_log(state));
             // The running save must end first, or the older session would replace the newer one.
-            let _ = self.jobs.send(SessionFileJob { request: None, path: self.autosave.path.clone(), work });
+            let _ = self.jobs.send(SlamFileJob { request: None, path: self.autosave.path.clone(), work });
         }
     }
 }

@@ -19,7 +19,7 @@ use std::time::Duration;
 pub const JOBS_MAX: usize = 8;
 
 /// Job of the file worker: one operation on one file.
-pub struct SessionFileJob {
+pub struct SlamFileJob {
     /// Request that the job belongs to; `None` for an autosave.
     pub request: Option<Box<SlamRequest>>,
     /// File to read or to write.
@@ -87,7 +87,7 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
     }
 
     /// Does one job; waits while the back-end thread has no room for the outcome.
-    pub fn run(&mut self, job: SessionFileJob) {
+    pub fn run(&mut self, job: SlamFileJob) {
         let outcome = BackEndInput::File(Box::new(self.perform(job)));
         if let Err(std::sync::mpsc::SendError(BackEndInput::File(outcome))) = self.outcomes.send(outcome)
             && let Err(why) = outcome.result
@@ -97,7 +97,7 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
     }
 
     /// Does one job if the back-end thread has room for the outcome; else gives the outcome back.
-    pub fn try_run(&mut self, job: SessionFileJob) -> Option<BackEndInput> {
+    pub fn try_run(&mut self, job: SlamFileJob) -> Option<BackEndInput> {
         let outcome = BackEndInput::File(Box::new(self.perform(job)));
         self.try_send(outcome)
     }
@@ -110,7 +110,7 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
         }
     }
 
-    fn perform(&mut self, SessionFileJob { request, path, work }: SessionFileJob) -> FileJobOutcome {
+    fn perform(&mut self, SlamFileJob { request, path, work }: SlamFileJob) -> FileJobOutcome {
         let begun = self.clock.now();
         let appended_at = if let FileOperation::Append { at, .. } = &work { Some(*at) } else { None };
         let result = match work {

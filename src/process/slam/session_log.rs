@@ -4,7 +4,7 @@
 //! session is whole. A change that records cannot repeat (a loaded map, undone closures, a lost robot) suspends the
 //! log until a session with that change is saved.
 
-use super::files::{FileOperation, SessionFileJob};
+use super::files::{FileOperation, SlamFileJob};
 use crate::run::Run;
 use crate::sessions;
 use crate::storage::Storage;
@@ -120,7 +120,7 @@ impl SessionLog {
         &mut self,
         identity: &SessionIdentity,
         front: &FrontEndState,
-        jobs: &SyncSender<SessionFileJob>,
+        jobs: &SyncSender<SlamFileJob>,
     ) {
         self.is_requested = false;
         if self.suspended || self.waiting.is_empty() {
@@ -131,7 +131,7 @@ impl SessionLog {
         let (at, length) = (self.to.end, bytes.len() as u64);
         let path = self.files[self.to.file].clone();
         if jobs
-            .try_send(SessionFileJob { request: None, path, work: FileOperation::Append { at, bytes } })
+            .try_send(SlamFileJob { request: None, path, work: FileOperation::Append { at, bytes } })
             .is_err()
         {
             return self.suspend();

@@ -6,8 +6,8 @@ fn client(serial: u64) -> ClientId {
     ClientId { slot: serial as usize, serial }
 }
 
-fn driver(serial: u64) -> LeaseHolder {
-    LeaseHolder { client: Some(client(serial)), address: Some([10, 0, 0, serial as u8].into()) }
+fn driver(serial: u64) -> DriveClient {
+    DriveClient { client: Some(client(serial)), address: Some([10, 0, 0, serial as u8].into()) }
 }
 
 fn robot(number: usize) -> RobotId {
