@@ -58,7 +58,9 @@ pub fn occupancy(cell: i8) -> Occupancy {
 
 /// Returns how many cells are not [`UNKNOWN`].
 pub fn known_count(cells: &[i8]) -> usize {
-    cells.iter().filter(|cell| **cell != UNKNOWN).count()
+    // Counted in bytes, 255 cells at a time, many at once.
+    let count = |part: &[i8]| part.iter().map(|cell| u8::from(*cell != UNKNOWN)).sum::<u8>();
+    cells.chunks(usize::from(u8::MAX)).map(|part| usize::from(count(part))).sum()
 }
 
 /// Returns nav_msgs/OccupancyGrid's trinary value for each cell value, indexed by the cell's bits (`cell as u8`).

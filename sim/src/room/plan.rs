@@ -90,11 +90,14 @@ impl Room {
             let (column, row) = (cell % ground.raster.width, cell / ground.raster.width);
             column % stride == 0 && row % stride == 0
         };
+        let directions: [_; PLAN_RAYS] = core::array::from_fn(|ray| {
+            let (sin, cos) = (TAU * ray as f64 / PLAN_RAYS as f64).sin_cos();
+            [cos, sin]
+        });
         let mut crossed = vec![false; raster.len()];
         for place in (0..ground.raster.len()).filter(|cell| ground.drivable[*cell]).filter(on_lattice) {
             let from = ground.raster.centre_m(place);
-            for ray in 0..PLAN_RAYS {
-                let (sin, cos) = (TAU * ray as f64 / PLAN_RAYS as f64).sin_cos();
+            for [cos, sin] in directions {
                 // The ray ends before the wall, which may lie on the edge of the next cell.
                 let range_m =
                     f64::from(self.view_m(from, [cos, sin], PLAN_RANGE_M)) - raster.resolution_m / 2.0;

@@ -36,8 +36,14 @@ impl Raster {
 
     /// Returns the index of the cell under a point; `None` outside of the raster.
     pub(crate) fn index(&self, [x, y]: [f64; 2]) -> Option<usize> {
-        let column = (x - self.origin_m[0]) / self.resolution_m;
-        let row = (y - self.origin_m[1]) / self.resolution_m;
+        self.index_of_cell([
+            (x - self.origin_m[0]) / self.resolution_m,
+            (y - self.origin_m[1]) / self.resolution_m,
+        ])
+    }
+
+    /// Returns the index of the cell under a point in cells' sides from the lower left corner.
+    fn index_of_cell(&self, [column, row]: [f64; 2]) -> Option<usize> {
         let inside = (0.0..self.width as f64).contains(&column) && (0.0..self.height as f64).contains(&row);
         // Both are positive and small: rounded down, without a call of `floor` and 64 bits.
         inside.then(|| row as u32 as usize * self.width + column as u32 as usize)
@@ -69,12 +75,14 @@ impl Raster {
 
     /// Marks the cells under points of a segment, `points_per_cell` of them along a cell's side.
     pub(crate) fn mark_points(&self, cells: &mut [bool], from: [f64; 2], to: [f64; 2], points_per_cell: f64) {
-        let length_m = (to[0] - from[0]).hypot(to[1] - from[1]);
-        let steps = (length_m / self.resolution_m * points_per_cell).ceil().max(1.0) as usize;
-        for step in 0..=steps {
-            let t = step as f64 / steps as f64;
-            let point = [from[0] + t * (to[0] - from[0]), from[1] + t * (to[1] - from[1])];
-            if let Some(index) = self.index(point) {
+        let to_cells = |m: [f64; 2]| [0, 1].map(|axis| (m[axis] - self.origin_m[axis]) / self.resolution_m);
+        let (from, to) = (to_cells(from), to_cells(to));
+        let length = [to[0] - from[0], to[1] - from[1]];
+        let steps = (length[0].hypot(length[1]) * points_per_cell).ceil().max(1.0) as usize;
+        let step = length.map(|cells| cells / steps as f64);
+        for i in 0..=steps {
+            let point = [0, 1].map(|axis| from[axis] + i as f64 * step[axis]);
+            if let Some(index) = self.index_of_cell(point) {
                 cells[index] = true;
             }
         }
