@@ -1,8 +1,8 @@
 //! Local protocol between the person at the laptop and the bridge: who may drive, and the emergency stop.
 //!
 //! One line of JSON each way on a Unix socket in the run's own runtime folder. Only the owner may write to it, and
-//! it answers however many clients use the TCP port. `mr-slam allow`, `deny`, `stop`, `release`, `status` and the keys
-//! of the live table use it.
+//! it answers however many clients use the TCP port. `mr-slam allow`, `deny`, `stop`, `release`, `clients`,
+//! `room`, `status` and the keys of the live table use it.
 
 use crate::run::Run;
 use bridge::ClientSelector;

@@ -95,8 +95,8 @@ fn channel_table() -> String {
             row.content
         );
     }
-    text + "\n\\* Where the robots are not simulated here, the bridge writes what the simulators write, but for the \
-            truth,\nand passes commands on to ROS 2.\n\
+    text + "\n\\* With `world = \"headset\"` or `\"ros\"` the bridge writes what the simulators write, but for the truth.\n\
+            With `\"ros\"` it also passes commands on to ROS 2.\n\
             \n\\*\\* Where robots and base are on several machines: at the base the link writes what it gets from the robots' \
             links,\nand reads commands for them. On a robot's machine it reads the former, and writes the base's velocities.\n"
 }
