@@ -10,7 +10,7 @@ import { readString } from "./messages.js";
  * @property {number} occupied_f1 agreement of walls, 0 to 1 @property {number} null_f1_max the same by chance
  * @property {number} overlap_m2 @property {number} residual_m @property {number} closures @property {number} closures_rejected
  * @property {number} compared_submaps @property {number} contradicted_submaps
- * @property {boolean} contradicted whether these are so many that one of the two maps is bent, or lies wrong
+ * @property {boolean} contradicted whether these are so many that one of the two maps is deformed, or lies wrong
  */
 
 /** States in which an edge joins two maps. */

@@ -345,7 +345,7 @@ export class Fleet {
     for (const edge of this.edges.filter(({ contradicted }) => contradicted)) {
       const [robot, other] = robotsOf(edge);
       const places = `${edge.contradicted_submaps} of ${edge.compared_submaps} places`;
-      items.push({ rank: 2, robot, text: `its map and that of ${other} contradict each other in ${places}: one is bent, or lies wrong`, key: `bent ${robot} ${other}` });
+      items.push({ rank: 2, robot, text: `its map and that of ${other} contradict each other in ${places}: one is deformed, or lies wrong`, key: `bent ${robot} ${other}` });
     }
     for (const robot of this.contradictedStarts.map(numberOf)) {
       items.push({ rank: 4, robot, text: "its given start contradicts the maps: its place comes from the maps", key: `start ${robot}` });

@@ -100,7 +100,7 @@ pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetErr
     if !config.fleet.starts_known {
         return Ok(alone());
     }
-    if config.world.is_outside() && config.configured_starts().is_none() {
+    if config.world.is_external() && config.configured_starts().is_none() {
         return Ok(sessions::known_starts(config, alone())?);
     }
     true_starts(config)
@@ -110,7 +110,7 @@ pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetErr
 /// as configured.
 pub fn true_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
     let begun = match config.configured_starts() {
-        None if config.world.is_outside() => vec![None; config.fleet.robots],
+        None if config.world.is_external() => vec![None; config.fleet.robots],
         None => starts(config, &room(config)?)?.into_iter().map(Some).collect(),
         Some(starts) => starts.into_iter().map(Some).collect(),
     };
@@ -146,7 +146,7 @@ pub fn headset_robots(config: &FleetConfig) -> Result<HeadsetRobots, FleetError>
 /// Checks that the whole fleet can be built, before anything is started.
 pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
     sessions::check(config)?;
-    if config.world.is_outside() {
+    if config.world.is_external() {
         return Ok(());
     }
     let room = room(config)?;

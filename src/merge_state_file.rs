@@ -74,8 +74,8 @@ pub struct MergeStateFile<S> {
     kept: Option<FleetSnapshot>,
     /// Earliest time of the next attempt after a failed write.
     due: Monotonic,
-    /// Error that was reported last; it is not reported again.
-    said: Option<String>,
+    /// Error of the last warning; it is not reported again.
+    last_warning: Option<String>,
 }
 
 impl<S: Storage> MergeStateFile<S> {
@@ -87,7 +87,7 @@ impl<S: Storage> MergeStateFile<S> {
             tracing::warn!("merge: {} {why}; it begins without it", path.display());
             None
         });
-        Self { storage, path, run: run.begun.0, kept, due: Monotonic::default(), said: None }
+        Self { storage, path, run: run.begun.0, kept, due: Monotonic::default(), last_warning: None }
     }
 
     /// Writes the state, if it has changed.
@@ -97,14 +97,14 @@ impl<S: Storage> MergeStateFile<S> {
             return;
         }
         match write(&self.storage, &self.path, self.run, &snapshot) {
-            Ok(()) => (self.kept, self.said) = (Some(snapshot), None),
+            Ok(()) => (self.kept, self.last_warning) = (Some(snapshot), None),
             Err(why) => {
                 self.due = Monotonic(now.0 + AGAIN_NS);
                 let why = why.to_string();
-                if self.said.as_ref() != Some(&why) {
+                if self.last_warning.as_ref() != Some(&why) {
                     tracing::warn!("merge: the state is not saved: {why}; it is tried again later");
                 }
-                self.said = Some(why);
+                self.last_warning = Some(why);
             }
         }
     }
@@ -173,7 +173,7 @@ mod tests {
             run: 7,
             kept: None,
             due: Monotonic(0),
-            said: None,
+            last_warning: None,
         };
         state_file.save(&fleet, Monotonic(1));
         let mut again = fresh(2);
@@ -240,9 +240,15 @@ mod tests {
         // A file where the folder should be.
         std::fs::write(folder.path().join("run"), "").unwrap();
         let path = folder.path().join("run").join(FILE);
-        let mut state_file =
-            MergeStateFile { storage: DiskStorage, path, run: 7, kept: None, due: Monotonic(0), said: None };
+        let mut state_file = MergeStateFile {
+            storage: DiskStorage,
+            path,
+            run: 7,
+            kept: None,
+            due: Monotonic(0),
+            last_warning: None,
+        };
         state_file.save(&pinned(), Monotonic(1));
-        assert!(state_file.said.is_some() && state_file.due > Monotonic(1));
+        assert!(state_file.last_warning.is_some() && state_file.due > Monotonic(1));
     }
 }

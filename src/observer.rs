@@ -172,9 +172,9 @@ impl Observer {
         let changed = edges.edges().iter().enumerate().filter(|(index, edge)| {
             before.get(*index).map_or(EdgeState::None, |before| before.state()) != edge.state()
         });
-        let news = changed.map(|(_, edge)| EdgeView::new(edge)).collect();
+        let changed_edges = changed.map(|(_, edge)| EdgeView::new(edge)).collect();
         *self.newest_edges = *edges;
-        news
+        changed_edges
     }
 
     /// Returns the pose with which a robot's process is restarted: of the robot in `world` for a simulator, of `odom`

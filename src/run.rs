@@ -211,7 +211,7 @@ impl Run {
             tracing::debug!("the fleet starts slower, without a folder in shared memory: {why}");
         }
         let pid = std::process::id();
-        let epoch = if config.world.is_outside() { Epoch::unix() } else { Epoch::now() };
+        let epoch = if config.world.is_external() { Epoch::unix() } else { Epoch::now() };
         let (epoch_ns, begun_ns) = (epoch.monotonic_ns, crate::clock::now().0);
         let file = RunFile { pid, domain, runtime, epoch_ns, begun_ns, port };
         let run = Self::from_file(dir, file.clone(), config)?;

@@ -86,11 +86,7 @@ fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: C
         for ((robot, grid), map) in RobotId::first(robots).zip(&grids).zip(&maps) {
             if changed == Changed::Places && round > 0 {
                 let distance_m = 0.05 * (STEPS_BEFORE + round) as f64;
-                assert!(merger.set_robot_footprint(
-                    robot,
-                    Pose2::new(distance_m, 0.3 * distance_m, 0.0),
-                    0.105
-                ));
+                assert!(merger.add_robot_pose(robot, Pose2::new(distance_m, 0.3 * distance_m, 0.0), 0.105));
             } else if changed == Changed::InGrids {
                 merger.update_map(robot, grid.view()).unwrap();
             } else {
@@ -103,7 +99,7 @@ fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: C
                 RobotId::first(robots).flat_map(|robot| (0..=STEPS_BEFORE).map(move |step| (robot, step)))
             {
                 let distance_m = 0.05 * step as f64;
-                merger.set_robot_footprint(robot, Pose2::new(distance_m, 0.3 * distance_m, 0.0), 0.105);
+                merger.add_robot_pose(robot, Pose2::new(distance_m, 0.3 * distance_m, 0.0), 0.105);
             }
             merger.compose();
         } else {

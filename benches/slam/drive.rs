@@ -67,7 +67,7 @@ pub struct Outcome {
     pub nodes: usize,
     /// Links between them.
     pub links: usize,
-    /// Closures in force.
+    /// Active closures.
     pub closures: usize,
     /// Closures taken back.
     pub retracted: u64,
@@ -75,7 +75,7 @@ pub struct Outcome {
     pub untied: usize,
     /// Evidence that the map is wrong.
     pub doubts: MapDoubts,
-    /// Closures in force that are not true, if the truth is known.
+    /// Active closures that are not true, if the truth is known.
     pub wrong_closures: usize,
     /// The same of links between scans.
     pub wrong_links: usize,
@@ -257,8 +257,8 @@ impl Outcome {
         let errors = |which| relations::errors(&estimate, odometry.as_ref(), &relations, which);
         (self.all, self.revisit) = (errors(Which::All), errors(Which::Revisits));
         self.both_kept = errors(Which::BothKept);
-        let tied = |ride: &slam::TrajectorySample| {
-            let node = back.node_from_front_end(ride.node).map(|id| &back.nodes()[id as usize]);
+        let tied = |sample: &slam::TrajectorySample| {
+            let node = back.node_from_front_end(sample.node).map(|id| &back.nodes()[id as usize]);
             node.is_some_and(|node| node.is_tied())
         };
         let tied: Vec<bool> = front.samples().iter().map(tied).collect();
@@ -272,13 +272,13 @@ impl Outcome {
         if let Some(path) = &task.truth {
             let truth = text(path, Trajectory::parse)?;
             self.wrong_closures = wrong(back, &truth, EdgeKind::Closure);
-            self.wrong_links = wrong(back, &truth, EdgeKind::Link);
+            self.wrong_links = wrong(back, &truth, EdgeKind::ScanMatch);
         }
         Ok(())
     }
 }
 
-/// How many edges in force say something else than the truth.
+/// How many active edges say something else than the truth.
 fn wrong(back: &BackEnd, truth: &Trajectory, kind: EdgeKind) -> usize {
     let at = |id: u32| truth.scan_at(back.nodes()[id as usize].header.stamp.0 as f64 * 1e-9);
     let wrong = |edge: &&slam::Edge| {

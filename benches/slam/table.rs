@@ -236,7 +236,7 @@ pub fn varied(outcomes: &[crate::VariedLog]) {
         );
     }
     println!(
-        "in map: relations between places that are tied to the map; untied: nodes that are not; wrong: closures and links in force that the log as it is contradicts"
+        "in map: relations between places that are tied to the map; untied: nodes that are not; wrong: active closures and links that the log as it is contradicts"
     );
 }
 

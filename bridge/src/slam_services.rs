@@ -3,7 +3,7 @@
 //! Names and types are SLAM Toolbox's where it has the service (slam_toolbox 2.8, Jazzy), otherwise std_srvs'. All names
 //! lie under `/robotN/`. Files are written below the run's folder: a name from the network must not lead out of it.
 
-use msg::{Pose2, RobotId, SlamMode, SlamRequest, SlamRequestKind, SlamResponse, StartPose, Text};
+use msg::{InitialPoseKind, Pose2, RobotId, SlamMode, SlamRequest, SlamRequestKind, SlamResponse, Text};
 use ros_messages::RobotNames;
 use ros_messages::cdr::{DecodeError, Dialect, Reader, Writer};
 use std::collections::BTreeMap;
@@ -215,16 +215,16 @@ fn read_load_session(from: &mut Reader<'_>) -> Result<SlamRequest, RequestError>
     let match_type = from.u8("match_type")?;
     let [x_m, y_m, yaw_rad] =
         [from.finite("initial_pose.x")?, from.finite("initial_pose.y")?, from.finite("initial_pose.theta")?];
-    let (mode, start) = match match_type {
-        0 => (SlamMode::Mapping, StartPose::Unknown),
-        1 => (SlamMode::Mapping, StartPose::FirstNode),
-        2 => (SlamMode::Mapping, StartPose::Given),
-        3 => (SlamMode::Localization, StartPose::Given),
+    let (mode, kind) = match match_type {
+        0 => (SlamMode::Mapping, InitialPoseKind::Unknown),
+        1 => (SlamMode::Mapping, InitialPoseKind::FirstNode),
+        2 => (SlamMode::Mapping, InitialPoseKind::Given),
+        3 => (SlamMode::Localization, InitialPoseKind::Given),
         match_type => return Err(RequestError::MatchType { match_type }),
     };
-    let (mode, start) = (mode as u32, start as u32);
+    let (mode, initial_pose_kind) = (mode as u32, kind as u32);
     let pose = Pose2::new(x_m, y_m, yaw_rad);
-    Ok(SlamRequest { text, mode, start, pose, ..request(SlamRequestKind::LoadSession) })
+    Ok(SlamRequest { text, mode, initial_pose_kind, pose, ..request(SlamRequestKind::LoadSession) })
 }
 
 #[cfg(test)]
@@ -257,7 +257,10 @@ mod tests {
             to.f64s(&[1.0, 2.0, 0.5]);
         });
         let loaded = read(Service::LoadSession, &loaded).unwrap().first;
-        assert_eq!((loaded.mode, loaded.start), (SlamMode::Localization as u32, StartPose::Given as u32));
+        assert_eq!(
+            (loaded.mode, loaded.initial_pose_kind),
+            (SlamMode::Localization as u32, InitialPoseKind::Given as u32)
+        );
         assert_eq!(loaded.pose, Pose2::new(1.0, 2.0, 0.5));
     }
 

@@ -1,6 +1,6 @@
 //! Reasons why a configuration is refused, and the line of the file that sets a key.
 
-use super::{LinkConfigError, RecordingConfigError, SessionsConfigError};
+use super::{MachineLinkConfigError, RecordingConfigError, SessionsConfigError};
 use bridge::RobotNameError;
 use msg::ROBOTS_MAX;
 use runtime::realtime::RealtimeConfigError;
@@ -99,7 +99,7 @@ pub enum ValueError {
     Recording(#[from] RecordingConfigError),
     /// A value of section `[link]`.
     #[error(transparent)]
-    Link(#[from] LinkConfigError),
+    Link(#[from] MachineLinkConfigError),
     /// A value of merging.
     #[error(transparent)]
     Merge(#[from] merge::InvalidMergeConfig),

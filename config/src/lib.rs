@@ -10,7 +10,7 @@ pub mod resources;
 mod sessions;
 
 pub use error::{ConfigError, ValueError};
-pub use link::{LinkConfig, LinkConfigError};
+pub use link::{MachineLinkConfig, MachineLinkConfigError};
 pub use recording::{RecordingConfig, RecordingConfigError};
 pub use sessions::{Mode, SessionsConfig, SessionsConfigError};
 
@@ -41,7 +41,7 @@ pub struct FleetConfig {
     /// Recording of the fleet's messages.
     pub recording: RecordingConfig,
     /// Link between a base and robots on other machines.
-    pub link: LinkConfig,
+    pub link: MachineLinkConfig,
     /// Real-time priority, locked memory and cores of the processes.
     pub realtime: runtime::realtime::RealtimeConfig,
 }
@@ -58,7 +58,7 @@ impl Default for FleetConfig {
             merge: merge::MergeConfig::default(),
             bridge: bridge::BridgeConfig::default(),
             recording: RecordingConfig::default(),
-            link: LinkConfig::default(),
+            link: MachineLinkConfig::default(),
             realtime: runtime::realtime::RealtimeConfig::default(),
         }
     }
@@ -82,7 +82,7 @@ pub enum World {
 
 impl World {
     /// Returns whether the world is not simulated here.
-    pub fn is_outside(self) -> bool {
+    pub fn is_external(self) -> bool {
         self != Self::Simulator
     }
 }
@@ -264,7 +264,7 @@ impl FleetConfig {
     pub fn processes(&self) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
         // Robots on other machines have their SLAM there.
         let has_slam = self.world != World::Robots;
-        processes::of_fleet(self.fleet.robots, self.world.is_outside(), self.recording.enabled)
+        processes::of_fleet(self.fleet.robots, self.world.is_external(), self.recording.enabled)
             .filter(move |(row, _)| has_slam || row.role != Role::Slam)
     }
 

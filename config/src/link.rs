@@ -13,7 +13,7 @@ const BEAMS_MAX: usize = 2000;
 
 /// Reason why the section `[link]` is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum LinkConfigError {
+pub enum MachineLinkConfigError {
     /// A rate is out of range.
     #[error("link.{key} is {hz}; expected {RATE_MIN_HZ} to {RATE_MAX_HZ} Hz")]
     Rate {
@@ -27,7 +27,7 @@ pub enum LinkConfigError {
     Beams(usize),
 }
 
-impl LinkConfigError {
+impl MachineLinkConfigError {
     /// Returns the key below `link`.
     pub fn key(&self) -> &'static str {
         match self {
@@ -40,7 +40,7 @@ impl LinkConfigError {
 /// Section `[link]` of the configuration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct LinkConfig {
+pub struct MachineLinkConfig {
     /// Most scans a second of a robot that its machine sends while somebody at the base looks at them, 0.1 to 20 Hz. At 5 Hz
     /// with 180 beams they are 2.1 kB/s. While nobody looks none is sent.
     pub scan_rate_hz: f64,
@@ -52,22 +52,22 @@ pub struct LinkConfig {
     pub scan_beams: usize,
 }
 
-impl Default for LinkConfig {
+impl Default for MachineLinkConfig {
     fn default() -> Self {
         Self { scan_rate_hz: 5.0, drive_rate_hz: 10.0, scan_beams: 180 }
     }
 }
 
-impl LinkConfig {
+impl MachineLinkConfig {
     /// Checks ranges of all keys.
-    pub fn validate(&self) -> Result<(), LinkConfigError> {
+    pub fn validate(&self) -> Result<(), MachineLinkConfigError> {
         for (key, hz) in [("scan_rate_hz", self.scan_rate_hz), ("drive_rate_hz", self.drive_rate_hz)] {
             if !(RATE_MIN_HZ..=RATE_MAX_HZ).contains(&hz) {
-                return Err(LinkConfigError::Rate { key, hz });
+                return Err(MachineLinkConfigError::Rate { key, hz });
             }
         }
         if !(BEAMS_MIN..=BEAMS_MAX).contains(&self.scan_beams) {
-            return Err(LinkConfigError::Beams(self.scan_beams));
+            return Err(MachineLinkConfigError::Beams(self.scan_beams));
         }
         Ok(())
     }

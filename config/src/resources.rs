@@ -78,7 +78,7 @@ pub fn free_bytes(folder: &Path) -> Option<u64> {
 pub fn check_shared_memory(config: &FleetConfig) -> Option<Finding> {
     judge_shared_memory(
         free_bytes(Path::new(SHARED_MEMORY))?,
-        shared_memory_need(config.fleet.robots, config.world.is_outside()),
+        shared_memory_need(config.fleet.robots, config.world.is_external()),
     )
 }
 

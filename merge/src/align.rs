@@ -20,7 +20,7 @@ mod spectrum;
 mod translation;
 mod wall_match;
 
-pub(crate) use contradicted::ComparedParts;
+pub(crate) use contradicted::ComparedSubmaps;
 pub(crate) use distance_field::DistanceField;
 pub(crate) use null::max_null_f1;
 pub(crate) use points::MapPoints;
@@ -184,15 +184,15 @@ impl<'a> CandidateVerifier<'a> {
         Self { fields, objects: fields.map(ObjectPoints::new) }
     }
 
-    /// Adds the objects to the walls.
-    fn place(&self, fine: WallMatch) -> RefinedCandidate {
+    /// Compares the short walls, and adds them to the long ones.
+    fn compare_short_walls(&self, fine: WallMatch) -> RefinedCandidate {
         RefinedCandidate { fine, objects: match_objects(self.fields, self.objects.each_ref(), fine.a_from_b) }
     }
 
     /// Returns the best place with its margins over all others.
     fn choose(&self, places: &[WallMatch], config: &AlignConfig) -> Option<(RefinedCandidate, Margins)> {
         let finalists = places.iter().take(FINALISTS).map(|coarse| refine_finely(self.fields, coarse));
-        let best = self.place(finalists.max_by(|x, y| x.score().total_cmp(&y.score()))?);
+        let best = self.compare_short_walls(finalists.max_by(|x, y| x.score().total_cmp(&y.score()))?);
         let is_other = |other: &&WallMatch| !is_same_place(other.a_from_b, best.fine.a_from_b);
         let others = places.iter().filter(is_other).map(WallMatch::score);
         let score = best.fine.score() / others.fold(rival_score_min(self.fields), f64::max);
@@ -200,7 +200,8 @@ impl<'a> CandidateVerifier<'a> {
             return Some((best, Margins { score, objects: 0.0 }));
         }
         let repeated = repeated_places(self.fields, &self.objects[1], best.fine.a_from_b);
-        let rivals = places.iter().chain(&repeated).filter(is_other).map(|other| self.place(*other));
+        let rivals =
+            places.iter().chain(&repeated).filter(is_other).map(|other| self.compare_short_walls(*other));
         let objects_m = rivals.filter(|rival| rival.is_possible(config)).map(|rival| rival.objects.matched_m);
         let objects = best.objects.matched_m / objects_m.fold(RIVAL_OBJECTS_MIN_M, f64::max);
         Some((best, Margins { score, objects }))
@@ -244,8 +245,8 @@ pub fn align_near(
     let refined = refine(fields, from_a.inverse() * a_from_b * from_b, strides, COARSE_KERNELS_M);
     let matched = match_walls(fields, refined, strides);
     let config = without_margins(config);
-    let place = CandidateVerifier::new(fields).place(matched);
-    Some(judge([a, b], from_a * refined * from_b.inverse(), &place, Margins::default(), &config))
+    let candidate = CandidateVerifier::new(fields).compare_short_walls(matched);
+    Some(judge([a, b], from_a * refined * from_b.inverse(), &candidate, Margins::default(), &config))
 }
 
 /// Computes the evidence for a given transform. `accepted` leaves out the margin, which is 0: no other place is looked
@@ -262,9 +263,9 @@ pub(crate) fn evaluate(
     let fields = [a, b].map(|map| DistanceField::of_map(map, &config.walls));
     let fields = [&fields[0], &fields[1]];
     let matched = match_walls_at(fields, a_from_b);
-    let place = CandidateVerifier::new(fields).place(matched);
+    let candidate = CandidateVerifier::new(fields).compare_short_walls(matched);
     let config = without_margins(config);
-    Some(judge([a, b], a_from_b, &place, Margins::default(), &config))
+    Some(judge([a, b], a_from_b, &candidate, Margins::default(), &config))
 }
 
 /// Matches the walls of two maps under a transform between the maps' own frames.
@@ -360,11 +361,11 @@ fn compare_cells(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, config: &Wal
 fn judge(
     [a, b]: [GridView<'_>; 2],
     a_from_b: Pose2,
-    place: &RefinedCandidate,
+    candidate: &RefinedCandidate,
     margins: Margins,
     config: &AlignConfig,
 ) -> Alignment {
-    let (walls, objects) = (&place.fine, &place.objects);
+    let (walls, objects) = (&candidate.fine, &candidate.objects);
     let cells = compare_cells(a, b, a_from_b, &config.walls);
     let GridAgreement { agreement, occupied_f1, overlap_m2, overlap_share, occupied_found, .. } = cells;
     let [walls_a_m, walls_b_m] =
@@ -388,7 +389,7 @@ fn judge(
         objects_margin: margins.objects,
         observability: walls.observability,
     };
-    found.refusal = refusal_of(&found, place, walls_a_m + walls_b_m, config);
+    found.refusal = refusal_of(&found, candidate, walls_a_m + walls_b_m, config);
     found.accepted = found.refusal.is_none();
     found
 }

@@ -159,13 +159,13 @@ impl FleetPoseGraph {
         let submaps = &mut self.robots[index].submaps;
         let changed = submaps.update_poses(poses).ok_or(SubmapRejected::Malformed(robot))?;
         let has_map = changed && !submaps.poses().is_empty();
-        let frame_is_free =
-            self.reference.is_none() && self.robots.iter().all(|robot| robot.estimate.start().is_none());
+        let frame_is_free = self.reference.is_none()
+            && self.robots.iter().all(|robot| robot.estimate.configured_map_from_robot_map().is_none());
         if has_map && frame_is_free {
             self.reference = Some(set_reference(&mut self.robots, index, Pose2::IDENTITY));
             self.graph_changed();
         }
-        self.needs_solve |= changed && self.robots[index].estimate.transform().is_some();
+        self.needs_solve |= changed && self.robots[index].estimate.map_from_robot_map().is_some();
         Ok(())
     }
 
@@ -185,7 +185,8 @@ impl FleetPoseGraph {
             }
         }
         // Without a reference the robots that have a start fix the frame. The last of them may be gone now.
-        let has_start = self.robots.iter().any(|known| known.estimate.start().is_some());
+        let has_start =
+            self.robots.iter().any(|known| known.estimate.configured_map_from_robot_map().is_some());
         if self.reference.map_or(!has_start, |reference| reference.robot == index) {
             self.reference = successor(&self.robots);
         }
@@ -197,7 +198,7 @@ impl FleetPoseGraph {
     pub fn apply_command(&mut self, edge: u32, action: EdgeAction) -> bool {
         let index = (edge as usize).checked_sub(1).filter(|index| *index < self.pairs.len());
         let Some(index) = index else { return false };
-        let in_graph = self.relation_in_graph(index);
+        let in_graph = self.a_from_b_in_graph(index);
         if !self.pairs[index].apply_command(action, in_graph) {
             return false;
         }
@@ -264,7 +265,7 @@ impl FleetPoseGraph {
 
     /// Frame `map` from frame `robotK/map`, right where the robot is now; `None` while it is unknown.
     pub fn map_from_robot_map(&self, robot: RobotId) -> Option<Pose2> {
-        self.robots.get(robot.index())?.estimate.transform()
+        self.robots.get(robot.index())?.estimate.map_from_robot_map()
     }
 
     /// Frame `map` from frame `robotK/map`, right at one of the robot's submaps.
@@ -308,7 +309,8 @@ impl FleetPoseGraph {
 
     /// Applies changed edges: connects robots to the frame or removes them, and requests a new solution.
     fn graph_changed(&mut self) {
-        let has_start = self.robots.iter().any(|robot| robot.estimate.start().is_some());
+        let has_start =
+            self.robots.iter().any(|robot| robot.estimate.configured_map_from_robot_map().is_some());
         if let Some(reference) = self.reference.filter(|_| !has_start) {
             self.reference = Some(reference_of_largest_component(&mut self.robots, &self.pairs, reference));
         }
@@ -331,7 +333,7 @@ impl FleetPoseGraph {
     /// Returns the next match of two submaps, of the first connected pair of robots that has any.
     fn next_match(&self) -> Option<closures::MatchJob> {
         self.pairs.iter().enumerate().find_map(|(index, pair)| {
-            let in_graph = self.relation_in_graph(index)?;
+            let in_graph = self.a_from_b_in_graph(index)?;
             let [a, b] = robots_of_pair(index).map(|robot| &self.robots[robot]);
             let nodes = a.submaps.node_count() + b.submaps.node_count();
             let is_out = pair.edge.is_rejected(in_graph) || pair.edge.is_refuted(in_graph, nodes);
@@ -340,8 +342,8 @@ impl FleetPoseGraph {
     }
 
     /// Returns the transform of the graph from the second robot's map to the first's, if both are in it.
-    fn relation_in_graph(&self, pair: usize) -> Option<Pose2> {
-        let [a, b] = robots_of_pair(pair).map(|robot| self.robots[robot].estimate.transform());
+    fn a_from_b_in_graph(&self, pair: usize) -> Option<Pose2> {
+        let [a, b] = robots_of_pair(pair).map(|robot| self.robots[robot].estimate.map_from_robot_map());
         a.zip(b).map(|(a, b)| a.between(b))
     }
 
@@ -372,13 +374,13 @@ impl FleetPoseGraph {
             Some(_) => known.restart(source),
         }
         for pair in (0..self.pairs.len()).filter(|pair| robots_of_pair(*pair).contains(&index)) {
-            let in_graph = self.relation_in_graph(pair);
+            let in_graph = self.a_from_b_in_graph(pair);
             self.pairs[pair].restart(in_graph);
         }
         if let Some(reference) = &mut self.reference
             && reference.robot == index
         {
-            let transform = self.robots[index].estimate.transform();
+            let transform = self.robots[index].estimate.map_from_robot_map();
             reference.map_from_robot_map = transform.unwrap_or(reference.map_from_robot_map);
         }
         Ok(())

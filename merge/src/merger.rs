@@ -160,7 +160,7 @@ impl Merger {
     /// Obstacles that other robots see there are the robot itself. The robot's own map shows that too, but only up to
     /// its newest pose-graph node. Returns whether the merged map may have changed; an implausible pose or radius
     /// changes nothing.
-    pub fn set_robot_footprint(&mut self, robot: RobotId, robot_map_from_base: Pose2, radius_m: f64) -> bool {
+    pub fn add_robot_pose(&mut self, robot: RobotId, robot_map_from_base: Pose2, radius_m: f64) -> bool {
         let Some(source) = self.robots.get_mut(robot.index()) else { return false };
         if !source.path.add_pose(robot_map_from_base, radius_m) {
             return false;

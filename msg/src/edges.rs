@@ -105,7 +105,7 @@ pub struct MergeEdge {
 const CONTRADICTED_SUBMAPS_MIN: (u32, f64) = (2, 0.1);
 
 impl MergeEdge {
-    /// Returns whether the two maps contradict each other in places where the fleet's graph has them: one of them is bent, or lies
+    /// Returns whether the two maps contradict each other in places where the fleet's graph has them: one of them is deformed, or lies
     /// wrong.
     pub fn is_contradicted(&self) -> bool {
         let (count_min, share_min) = CONTRADICTED_SUBMAPS_MIN;

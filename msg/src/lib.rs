@@ -70,8 +70,8 @@ pub use refusal::AlignmentRefusal;
 pub use scan::{BEAMS_MAX, Scan, ScanDemand, ScanPurpose};
 pub use sender::{CommandSource, CommandSourceKind, OperatorAction, OperatorEvent};
 pub use service::{
-    CLOSURES_MAX, ClosureInfo, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse, StartPose,
-    TEXT_MAX, Text,
+    CLOSURES_MAX, ClosureInfo, InitialPoseKind, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
+    SlamResponse, TEXT_MAX, Text,
 };
 pub use slam::{Correction, MAP_OLD_AFTER_S, MapTransform, MapTransforms, TrackingState};
 pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessStats, RobotStats};

@@ -98,7 +98,7 @@ pub enum SlamRequestKind {
     /// Writes the session file `text`.
     SaveSession = 5,
     /// Loads the session file `text`, or the map `text` if it ends in .yaml (localization only). `mode` is
-    /// the mode to continue in, `start` the robot's pose.
+    /// the mode to continue in, `initial_pose_kind` the robot's pose.
     LoadSession = 6,
     /// Sets the robot's pose to `pose` with the standard deviations `sigma_m` and `sigma_rad`. SLAM searches
     /// there first and accepts the pose after the robot has driven some distance.
@@ -139,10 +139,10 @@ impl SlamRequestKind {
     }
 }
 
-/// Pose of the robot when a session is loaded (SLAM Toolbox's match type).
+/// Kind of the robot's pose when a session is loaded (SLAM Toolbox's match type).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u32)]
-pub enum StartPose {
+pub enum InitialPoseKind {
     /// The pose is unknown and SLAM searches for it.
     #[default]
     Unknown = 0,
@@ -154,12 +154,12 @@ pub enum StartPose {
     LastNode = 3,
 }
 
-impl StartPose {
-    /// Decodes a start pose; `None` for an unknown code.
+impl InitialPoseKind {
+    /// Decodes a kind; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         [Self::Unknown, Self::Given, Self::FirstNode, Self::LastNode]
             .into_iter()
-            .find(|start| *start as u32 == code)
+            .find(|kind| *kind as u32 == code)
     }
 }
 
@@ -180,8 +180,8 @@ pub struct SlamRequest {
     pub kind: u32,
     /// Code of a [`SlamMode`].
     pub mode: u32,
-    /// Code of a [`StartPose`].
-    pub start: u32,
+    /// Code of a [`InitialPoseKind`].
+    pub initial_pose_kind: u32,
     /// Number of a closure.
     pub number: u32,
     /// Pose of `base_footprint` in `robotK/map`.

@@ -71,7 +71,7 @@ pub struct RobotStats {
     /// Number of loop closures in the pose graph.
     pub closures: u32,
     /// 1 if the robot's map is part of the merged map, 0 if its transform is unknown.
-    pub merged: u32,
+    pub is_merged: u32,
     /// Padding, always zero.
     pub reserved: u32,
     /// Age of the robot's part of the merged map: time since merging last received an answer of its SLAM to a scan,
@@ -105,7 +105,7 @@ pub struct FleetStats {
     /// Statistics of each robot, by [`crate::RobotId::index`].
     pub robots: [RobotStats; ROBOTS_MAX],
     /// Statistics of the merged map (free, occupied, unknown, size, coverage; the rest is zero).
-    pub merged: RobotStats,
+    pub merged_map: RobotStats,
     /// Known cells of the merged map over the observable cells of the room, 0 to 1; a wall is known within one cell. NaN
     /// without simulation.
     pub room_coverage: f64,

@@ -196,7 +196,7 @@ impl FleetView {
             robots: RobotId::first(count)
                 .map(|robot| RobotView::new(robot, &stats.robots[robot.index()]))
                 .collect(),
-            merged_map: MapView::new(&stats.merged),
+            merged_map: MapView::new(&stats.merged_map),
             room_coverage: finite(stats.room_coverage),
             pairs: stats.pair_count,
             consistency: of_pairs(stats.consistency),
@@ -282,7 +282,7 @@ impl RobotView {
             pose_error_m: finite(stats.pose_error_m),
             nodes: stats.nodes,
             closures: stats.closures,
-            merged: stats.merged == 1,
+            merged: stats.is_merged == 1,
             map_age_s: finite(stats.map_age_s),
             map_transform_error_m: finite(stats.map_transform_error_m),
             map_transform_error_deg: finite(stats.map_transform_error_rad.to_degrees()),

@@ -110,7 +110,7 @@ pub enum Endpoint {
     /// The processes of all other robots.
     OfOthers(Program),
     /// Its process, if the robots are not simulated here.
-    OutsideWorld(Program),
+    External(Program),
     /// Its process, if robots and base are on several machines.
     OtherMachines(Program),
 }
@@ -119,7 +119,7 @@ impl Endpoint {
     fn program(self) -> Program {
         match self {
             Self::Of(program) | Self::OfFirst(program) => program,
-            Self::OfOthers(program) | Self::OutsideWorld(program) => program,
+            Self::OfOthers(program) | Self::External(program) => program,
             Self::OtherMachines(program) => program,
         }
     }
@@ -132,7 +132,7 @@ impl Endpoint {
                 Self::Of(program) if program.is_per_robot() => {
                     channel_robot.is_none() || opener.robot == channel_robot
                 }
-                Self::Of(_) | Self::OutsideWorld(_) | Self::OtherMachines(_) => true,
+                Self::Of(_) | Self::External(_) | Self::OtherMachines(_) => true,
                 Self::OfFirst(_) => opener.robot.is_some_and(|robot| robot.number() == 1),
                 Self::OfOthers(_) => opener.robot != channel_robot,
             }
@@ -147,7 +147,7 @@ impl fmt::Display for Endpoint {
             Self::Of(_) => f.write_str(program.name()),
             Self::OfFirst(_) => write!(f, "{}(1)", program.name()),
             Self::OfOthers(_) => write!(f, "the other {}s", program.name()),
-            Self::OutsideWorld(_) => write!(f, "{} \\*", program.name()),
+            Self::External(_) => write!(f, "{} \\*", program.name()),
             Self::OtherMachines(_) => write!(f, "{} \\*\\*", program.name()),
         }
     }

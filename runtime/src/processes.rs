@@ -99,14 +99,14 @@ pub static PROCESSES: [ProcessRow; 7] = [
 
 /// Every process of a fleet: those of the fleet, then robot by robot.
 ///
-/// `outside`: the robots are not simulated here. `recorded`: the fleet has a recorder.
+/// `external`: the robots are not simulated here. `recorded`: the fleet has a recorder.
 pub fn of_fleet(
     robots: usize,
-    outside: bool,
+    external: bool,
     recorded: bool,
 ) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
     let runs =
-        move |row: &&ProcessRow| !(row.simulated_world_only && outside) && (recorded || !row.recording_only);
+        move |row: &&ProcessRow| !(row.simulated_world_only && external) && (recorded || !row.recording_only);
     let of_robot = move |robot| {
         let rows = PROCESSES.iter().filter(|row| row.per_robot).filter(runs);
         rows.map(move |row| (row, Some(robot)))

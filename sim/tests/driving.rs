@@ -112,7 +112,7 @@ fn commands_that_are_not_finite_are_refused_and_counted() {
     }
     assert_eq!(simulator.refused(), 3);
     let truth = (0..25).map(|_| simulator.step().truth).last().unwrap();
-    assert!(truth.linear_m_s > 0.08, "the command before is still in force");
+    assert!(truth.linear_m_s > 0.08, "the command before is still valid");
 }
 
 #[test]

@@ -93,7 +93,7 @@ pub struct BackEnd {
     doubts: DoubtMonitor,
     mapper: OccupancyMapper,
     /// The newest node that odometry alone connects with the nodes before: whether that is right is not yet verified.
-    unverified_edge: Option<u32>,
+    unverified_node: Option<u32>,
     /// Nodes linked to older parts of the map since the last solution.
     unsolved: usize,
     /// Solutions of the whole graph so far.
@@ -125,7 +125,7 @@ pub struct BackEndCounts {
     /// Localization: which nodes fitted the map.
     pub localized: LocalizerCounts,
     /// Nodes removed in lifelong mode.
-    pub retired: u64,
+    pub removed_nodes: u64,
     /// Nodes of untied components.
     pub untied: usize,
 }
@@ -143,7 +143,7 @@ impl BackEnd {
             odometry_noise: OdometryNoise::new(),
             doubts: DoubtMonitor::default(),
             mapper: OccupancyMapper::new(config.map.clone()),
-            unverified_edge: None,
+            unverified_node: None,
             unsolved: 0,
             solutions: 0,
             stages: Box::new(()),
@@ -184,7 +184,7 @@ impl BackEnd {
         self.graph.update_newest_covariance();
         self.judge_newest_position();
         // Verify an odometry edge that no scan has confirmed.
-        self.check_unverified_edge(id, &relative);
+        self.check_unverified_node(id, &relative);
         let untied = !self.newest_is_tied();
         // Search for a place seen before; between two searches, retry a node that was not found.
         if self.loop_closures.is_search_due() {
@@ -255,7 +255,7 @@ impl BackEnd {
         let count = |kind| self.graph.edges().iter().filter(|e| e.is_active && e.kind == kind).count();
         BackEndCounts {
             nodes: self.nodes.len(),
-            links: count(EdgeKind::Link),
+            links: count(EdgeKind::ScanMatch),
             closures: count(EdgeKind::Closure),
             retracted: self.loop_closures.retracted,
             solutions: self.solutions,
@@ -264,7 +264,7 @@ impl BackEnd {
             searches: self.loop_closures.detector.counts(),
             relocalization: self.location.relocalization_counts(),
             localized: self.location.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
-            retired: self.lifelong.retired,
+            removed_nodes: self.lifelong.removed_nodes,
             untied: self.nodes.iter().filter(|node| !node.is_tied()).count(),
         }
     }
@@ -315,8 +315,11 @@ impl BackEnd {
     /// Adds accepted closures to the graph, solves, and links the nodes around them. Where they and others show together that the
     /// path is wrong, it is broken.
     fn add_closures(&mut self, closures: &[ClosureCandidate]) {
-        let closures: Vec<ClosureCandidate> =
-            closures.iter().filter(|closure| !self.loop_closures.is_rejected(closure)).copied().collect();
+        let closures: Vec<ClosureCandidate> = closures
+            .iter()
+            .filter(|closure| !self.loop_closures.resembles_rejected(closure))
+            .copied()
+            .collect();
         if closures.is_empty() {
             return;
         }
@@ -338,7 +341,7 @@ impl BackEnd {
         }
         self.loop_closures.retry_not_found();
         self.solve(false);
-        self.break_path_at_refuted_closures();
+        self.break_path_at_conflicting_closures();
     }
 
     /// Nodes around both ends of closures, without doubles, in order.
@@ -373,11 +376,11 @@ impl BackEnd {
             self.graph.edge_mut(index).is_active = false;
             self.loop_closures.retracted += 1;
         }
-        self.count_closures();
+        self.update_after_edge_change();
     }
 
     /// Updates components and the number of closures, after edges changed.
-    fn count_closures(&mut self) {
+    fn update_after_edge_change(&mut self) {
         self.update_components();
         self.update_covariances();
         let is_active = |e: &&crate::graph::Edge| e.is_active && e.kind == EdgeKind::Closure;

@@ -142,7 +142,7 @@ impl ClosureDetector {
             return result;
         }
         // In the smaller window fewer places look alike; the larger one is for long ways.
-        for errors in [ErrorModel::Independent, ErrorModel::Repeating] {
+        for errors in [ErrorModel::Random, ErrorModel::Systematic] {
             let candidates = self.candidates(view, relative, node, errors);
             if !candidates.is_empty() {
                 self.last_search_m = Some(travelled_m);

@@ -132,7 +132,7 @@ pub struct FrontEnd {
     clock_reset: ClockResetDetector,
     motion: MotionModel,
     matcher: ScanMatcher,
-    nodes: NodeBuilder,
+    node_builder: NodeBuilder,
     frame: LocalFrameInMap,
     /// The last pose in the map with odometry, and its inverse by odometry: `map_from_base`, `base_from_continuous`.
     newest_with_odometry: Option<[Pose2; 2]>,
@@ -149,7 +149,7 @@ impl FrontEnd {
             clock_reset: ClockResetDetector::default(),
             motion: MotionModel::new(&config.odometry),
             matcher: ScanMatcher::new(&config.tracking),
-            nodes: NodeBuilder::new(),
+            node_builder: NodeBuilder::new(),
             frame: LocalFrameInMap::new(),
             newest_with_odometry: None,
             // The operating system provides the memory as it is used.
@@ -246,7 +246,7 @@ impl FrontEnd {
 
     /// Requests a node: the next scan that fits becomes one, even if the robot stands.
     pub fn request_node(&mut self) {
-        self.nodes.requested = true;
+        self.node_builder.requested = true;
     }
 
     /// Reports every stage of the work to this observer from now on.
@@ -277,14 +277,14 @@ impl FrontEnd {
     fn extend_swept_path(&mut self, pose: &TrackedPose) {
         if pose.is_tracked && self.config.map.robot_radius_m > 0.0 {
             let position = [pose.local_from_base.x_m as f32, pose.local_from_base.y_m as f32];
-            self.nodes.swept_path.push(position);
+            self.node_builder.swept_path.push(position);
         }
     }
 
     fn is_node_due(&mut self, pose: &TrackedPose, cloud: &Cloud) -> bool {
         self.counts.lost += u64::from(pose.state == TrackingState::Lost);
         let newest = self.matcher.references.back();
-        self.nodes.is_due(pose, cloud.points().len(), newest, &self.config.tracking)
+        self.node_builder.is_due(pose, cloud.points().len(), newest, &self.config.tracking)
     }
 
     /// Makes the scan a reference to match against, and returns it as a node if the back end has capacity.
@@ -295,7 +295,7 @@ impl FrontEnd {
         continuous_from_base: Option<Pose2>,
         cloud: Arc<Cloud>,
     ) -> Option<Node> {
-        let id = self.nodes.next_node;
+        let id = self.node_builder.next_node;
         let is_tracked = pose.is_tracked;
         if !is_tracked && self.matcher.contradicts(&cloud, pose.local_from_base) {
             self.frame.break_at(id);
@@ -308,7 +308,7 @@ impl FrontEnd {
             id,
             header: scan.header,
             local_from_base: pose.local_from_base,
-            previous_from_this: self.nodes.published_from_newest.zip(moved).map(|(a, b)| a * b),
+            previous_from_this: self.node_builder.published_from_newest.zip(moved).map(|(a, b)| a * b),
             is_tracked,
             odometry_break: self.frame.last_break == Some(id),
             disconnected_component: None,
@@ -320,23 +320,23 @@ impl FrontEnd {
         };
         let has_capacity = self.scan_buffers.has_capacity(self.matcher.references.len() + 1);
         if !is_tracked {
-            self.nodes.lost_in_row = 0;
+            self.node_builder.lost_in_row = 0;
         }
         self.matcher.add_reference(node.clone(), !is_tracked, &self.config.tracking);
         if !has_capacity {
-            self.nodes.published_from_newest = node.previous_from_this;
+            self.node_builder.published_from_newest = node.previous_from_this;
             self.counts.nodes_held_back += 1;
             return None;
         }
         self.frame.apply_frame_updates(id);
         // A path that the scans contradict was another one.
         let keep_path = self.config.map.robot_radius_m > 0.0 && is_tracked && !node.odometry_break;
-        Some(self.nodes.publish(node, keep_path))
+        Some(self.node_builder.publish(node, keep_path))
     }
 
     fn record(&mut self, stamp: Stamp, pose: &TrackedPose, continuous_from_base: Option<Pose2>) {
         self.counts.accepted += 1;
-        if let Some((node, local_from_node)) = self.nodes.published {
+        if let Some((node, local_from_node)) = self.node_builder.published {
             let node_from_base = local_from_node.between(pose.local_from_base);
             if self.samples.len() < self.config.graph.trajectory_max {
                 let is_lost = pose.state == TrackingState::Lost;
@@ -388,7 +388,7 @@ impl FrontEnd {
             map_from_base,
             covariance: [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]],
             state: self.state_in_map(pose) as u32,
-            nodes: self.nodes.next_node,
+            nodes: self.node_builder.next_node,
             closures: self.frame.closures,
             map_from_odom_unknown: map_from_odom.is_none().into(),
         }

@@ -28,7 +28,7 @@ pub enum EdgeKind {
     /// Odometry between a node and the next.
     Odometry,
     /// Alignment of two scans that see the same surfaces.
-    Link,
+    ScanMatch,
     /// A place recognised after a long path.
     Closure,
     /// Pose of the first node after the robot was located in a loaded map, as seen from the nearest node.
@@ -122,7 +122,7 @@ pub struct Graph {
     /// Variance of links and closures as a multiple of what they claim, by the last solution.
     variance_factor: f64,
     /// Errors of odometry that repeat, metres and radians per metre.
-    repeating_odometry_errors: [f64; 2],
+    systematic_odometry_errors: [f64; 2],
     /// Edges of each node.
     edges_of_node: Vec<Vec<u32>>,
     /// Solutions that ended with an error.
@@ -139,7 +139,7 @@ impl Graph {
             covariance_reference_node: 0,
             edges: Vec::new(),
             variance_factor: 1.0,
-            repeating_odometry_errors: [0.0; 2],
+            systematic_odometry_errors: [0.0; 2],
             edges_of_node: Vec::new(),
             failed_solutions: 0,
         }

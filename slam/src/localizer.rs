@@ -238,7 +238,7 @@ impl Localizer {
                 graph.add_edge([0, id], entry.map_from_node, held, EdgeKind::InitialPose, [0.0; 2]);
             }
             if let Some((pose, information)) = entry.matched {
-                graph.add_edge([0, id], pose, information, EdgeKind::Link, [0.0; 2]);
+                graph.add_edge([0, id], pose, information, EdgeKind::ScanMatch, [0.0; 2]);
             }
         }
         // If the solver fails, the poses stay as predicted by the front end.

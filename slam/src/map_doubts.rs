@@ -38,7 +38,7 @@ const PAIR_POINTS_MIN: u32 = 20;
 /// A node agrees with an older one if no larger share is contradicted.
 const AGREEING_SHARE_MAX: f32 = 0.1;
 /// Nodes that contradict older ones across a place of the path, more than agree with some, show that the motion there is wrong.
-const CUT_NODES_MIN: i32 = 5;
+const SUSPECTED_BREAK_NODES_MIN: i32 = 5;
 
 /// How well a scan and others from another pass agree about walls.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -92,7 +92,7 @@ impl NodeComparison {
 
 /// A place in the path whose motion is wrong: what lies on one side of it contradicts what lies on the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct PathCut {
+pub struct SuspectedBreak {
     /// The last node that is surely before it.
     pub before: u32,
     /// The first node that is surely after it.
@@ -101,7 +101,7 @@ pub struct PathCut {
 
 /// Finds the place in the path that divides the most nodes from older ones that they contradict, and the fewest from those that they
 /// agree with; the comparisons are those of the nodes, by id.
-pub fn path_cut(nodes: &[Option<NodeComparison>]) -> Option<PathCut> {
+pub fn suspected_break(nodes: &[Option<NodeComparison>]) -> Option<SuspectedBreak> {
     // Changes of the sum over pairs whose older node is before a place, and whose newer one is not: place `k` is before node `k`.
     let mut changes = vec![0_i32; nodes.len() + 1];
     for (id, comparison) in nodes.iter().enumerate().filter_map(|(id, node)| Some((id, (*node)?))) {
@@ -114,10 +114,10 @@ pub fn path_cut(nodes: &[Option<NodeComparison>]) -> Option<PathCut> {
     }
     let mut sum = 0;
     let sums: Vec<i32> = changes.iter().map(|change| (sum += change, sum).1).collect();
-    let most = sums.iter().copied().max().filter(|most| *most >= CUT_NODES_MIN)?;
+    let most = sums.iter().copied().max().filter(|most| *most >= SUSPECTED_BREAK_NODES_MIN)?;
     let first = sums.iter().position(|sum| *sum == most)?;
     let places = sums[first..].iter().take_while(|sum| **sum == most).count();
-    Some(PathCut { before: first as u32 - 1, after: (first + places - 1) as u32 })
+    Some(SuspectedBreak { before: first as u32 - 1, after: (first + places - 1) as u32 })
 }
 
 /// Compares the points of `b`, placed at `a_from_b`, with what `a` saw.
@@ -222,7 +222,7 @@ pub struct MapDoubts {
     /// contradict it; 0 to 1.
     pub untied_share: f32,
     /// Closures that agree with another one and put nodes of the map more than a metre away from where they are: the map contradicts them.
-    pub refuted_closures: u32,
+    pub conflicting_closures: u32,
 }
 
 impl MapDoubts {
@@ -240,7 +240,7 @@ impl MapDoubts {
                 "the path is longer or shorter than odometry says",
             ),
             (self.untied_share > UNTIED_SHARE_MAX, "a large part of the path has no known place in the map"),
-            (self.refuted_closures > 0, "places that were recognised lie elsewhere in the map"),
+            (self.conflicting_closures > 0, "places that were recognised lie elsewhere in the map"),
         ];
         reasons.into_iter().filter(|(is_strong, _)| *is_strong).map(|(_, reason)| reason)
     }
@@ -303,7 +303,7 @@ mod tests {
             MapDoubts { contradicted_share: 0.5, ..MapDoubts::default() },
             MapDoubts { odometry_residual_sigmas: 8.0, ..MapDoubts::default() },
             MapDoubts { untied_share: 0.4, ..MapDoubts::default() },
-            MapDoubts { refuted_closures: 2, ..MapDoubts::default() },
+            MapDoubts { conflicting_closures: 2, ..MapDoubts::default() },
         ];
         let words: Vec<_> = doubts.iter().flat_map(MapDoubts::reasons).collect();
         assert_eq!(words.len(), 4);
@@ -327,10 +327,10 @@ mod tests {
     #[test]
     fn a_path_is_cut_where_its_end_contradicts_its_beginning_and_not_for_a_door() {
         // Kidnapped at an unknown place between nodes 19 and 20.
-        assert_eq!(path_cut(&second_pass(20)), Some(PathCut { before: 19, after: 20 }));
+        assert_eq!(suspected_break(&second_pass(20)), Some(SuspectedBreak { before: 19, after: 20 }));
         // Kidnapped on the second round: until then it agrees.
-        assert_eq!(path_cut(&second_pass(27)), Some(PathCut { before: 26, after: 27 }));
-        assert_eq!(path_cut(&second_pass(40)), None);
+        assert_eq!(suspected_break(&second_pass(27)), Some(SuspectedBreak { before: 26, after: 27 }));
+        assert_eq!(suspected_break(&second_pass(40)), None);
         // Two nodes see a door that was open.
         let mut door = second_pass(40);
         for id in [30, 31] {
@@ -338,7 +338,7 @@ mod tests {
             comparison.add(10, WallAgreement { agree: 40, contradict: 60 });
             door[id] = Some(comparison);
         }
-        assert_eq!(path_cut(&door), None);
-        assert_eq!(path_cut(&[]), None);
+        assert_eq!(suspected_break(&door), None);
+        assert_eq!(suspected_break(&[]), None);
     }
 }

@@ -104,7 +104,7 @@ pub enum SessionError {
     },
     /// The session of another robot.
     #[error("is another robot's: {what} is {found}, here {expected}")]
-    Stranger {
+    OtherRobot {
         /// Name of the property that differs.
         what: &'static str,
         /// Property of the session's robot.
@@ -142,7 +142,7 @@ impl SessionIdentity {
     /// Checks that this robot may continue a session of `found`, of any run.
     fn accept(&self, found: &Self) -> Result<(), SessionError> {
         let differs = |what, found: String, expected: String| {
-            if found == expected { Ok(()) } else { Err(SessionError::Stranger { what, found, expected }) }
+            if found == expected { Ok(()) } else { Err(SessionError::OtherRobot { what, found, expected }) }
         };
         differs("the robot's number", found.robot.to_string(), self.robot.to_string())?;
         // Logs tell the place as a difference of two poses: rounding moves it.

@@ -41,7 +41,7 @@ pub struct Submaps {
     /// Number of times that all submaps were begun again.
     generation: u32,
     /// Nodes the back end had removed when these groups were begun.
-    retired: u64,
+    removed_nodes: u64,
     out: Box<Submap>,
 }
 
@@ -68,7 +68,7 @@ impl Submaps {
             mapper: OccupancyMapper::new(config.map.clone()),
             not_kept: 0,
             generation: 0,
-            retired: 0,
+            removed_nodes: 0,
             out: bytemuck::allocation::zeroed_box(),
         }
     }
@@ -88,9 +88,9 @@ impl Submaps {
     /// Adds the nodes that the back end got since the last call. If it removed nodes (the others then have new numbers)
     /// or began a new map, all submaps begin again.
     pub fn update(&mut self, back: &BackEnd) {
-        if back.retired() != self.retired || back.nodes().len() < self.nodes as usize {
+        if back.removed_nodes() != self.removed_nodes || back.nodes().len() < self.nodes as usize {
             self.restart();
-            self.retired = back.retired();
+            self.removed_nodes = back.removed_nodes();
         }
         let poses = back.graph().poses();
         for node in &back.nodes()[(self.nodes as usize).min(back.nodes().len())..] {

@@ -164,10 +164,10 @@ fn every_value_is_checked() {
     refused("closure's response", &|s| s.back.edges[0].response = 1.5);
     refused("length of the path", &|s| s.back.travelled_m = -1.0);
     refused("nodes not found", &|s| s.back.not_found = vec![4]);
-    refused("unverified edge", &|s| s.back.unverified_edge = Some(4));
+    refused("unverified node", &|s| s.back.unverified_node = Some(4));
     refused("place of the last search", &|s| s.back.detector.last_search_m = Some(f64::NAN));
     refused("counts", &|s| s.back.solutions = u64::MAX);
-    refused("local map", &|s| s.front.as_mut().unwrap().recent = 5);
+    refused("local map", &|s| s.front.as_mut().unwrap().reference_count = 5);
     refused("number of the next node", &|s| s.front.as_mut().unwrap().next_node = u32::MAX);
     refused("newest node's covariance", &|s| s.front.as_mut().unwrap().node_covariance[0] = f64::NAN);
     refused("order of odometry", &|s| {

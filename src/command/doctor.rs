@@ -211,7 +211,7 @@ fn locked_memory() -> Check {
 /// Checks what `up` checks before it starts a fleet: the same resources, for the fleet's size.
 fn resources(config: &FleetConfig) -> [Check; 3] {
     let free = resources::free_bytes(Path::new(SHARED_MEMORY)).unwrap_or(0);
-    let need = shared_memory_need(config.fleet.robots, config.world.is_outside());
+    let need = shared_memory_need(config.fleet.robots, config.world.is_external());
     let found = format!(
         "{} free; {} robots need {} to {}",
         megabytes(free),

@@ -31,7 +31,7 @@ pub enum LinkArgsError {
          --features link`"
     )]
     NotBuilt,
-    /// An option of `up` makes no sense here.
+    /// The option of `up` has no meaning: it is for several robots.
     #[error("{0} has no meaning here: `--name` names the robot of this machine, and there is one")]
     RobotOption(&'static str),
     /// The base has no world of its own.

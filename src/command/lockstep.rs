@@ -48,7 +48,7 @@ pub struct LockstepArgs {
 /// Runs the fleet, and prints its figures and the hash of all its messages.
 pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let config = args.fleet.config()?;
-    if config.world.is_outside() {
+    if config.world.is_external() {
         return Err("lockstep simulates its own world; expected world = \"simulator\"".into());
     }
     let mut fleet = Lockstep::with_faults(&config, !args.in_turn, draw_faults(args))?;

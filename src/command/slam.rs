@@ -11,8 +11,8 @@ use crate::process::pose;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, Participant, Reader, Writer, let_readers_look, wait};
 use msg::{
-    ClosureInfo, CommandSource, Monotonic, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest,
-    SlamRequestKind, SlamResponse, StartPose, Text,
+    ClosureInfo, CommandSource, InitialPoseKind, Monotonic, Pose2, RobotId, SlamMode, SlamOutcome,
+    SlamRequest, SlamRequestKind, SlamResponse, Text,
 };
 use reports::SlamView;
 use std::path::{Path, PathBuf};
@@ -276,16 +276,16 @@ impl SlamAction {
             Self::Save { file } => SlamRequest { text: text(file)?, ..ask(SlamRequestKind::SaveSession) },
             Self::Map { file } => SlamRequest { text: text(file)?, ..ask(SlamRequestKind::SaveMap) },
             Self::Load { file, localize, mode, at, at_first, at_last } => {
-                let start = match (at, at_first, at_last) {
-                    (Some(_), _, _) => StartPose::Given,
-                    (None, true, _) => StartPose::FirstNode,
-                    (None, _, true) => StartPose::LastNode,
-                    _ => StartPose::Unknown,
+                let kind = match (at, at_first, at_last) {
+                    (Some(_), _, _) => InitialPoseKind::Given,
+                    (None, true, _) => InitialPoseKind::FirstNode,
+                    (None, _, true) => InitialPoseKind::LastNode,
+                    _ => InitialPoseKind::Unknown,
                 };
                 SlamRequest {
                     text: text(file)?,
                     mode: mode_code(if *localize { Mode::Localization } else { *mode }),
-                    start: start as u32,
+                    initial_pose_kind: kind as u32,
                     pose: at.unwrap_or_default(),
                     ..ask(SlamRequestKind::LoadSession)
                 }

@@ -45,7 +45,7 @@ pub struct DriveChecks {
     left: Option<Monotonic>,
     /// Whether the last command was a moving one, which a zero must follow.
     moving: bool,
-    /// Whether the emergency stop is in force.
+    /// Whether the emergency stop is set.
     stopped: bool,
     /// Whether the emergency stop is lost with the bridge, because the disk was full.
     unsaved: bool,

@@ -15,7 +15,7 @@ fn declared(config: &FleetConfig) -> Openings {
     for row in CHANNELS {
         for (ends, direction) in [(row.writers, Direction::Write), (row.readers, Direction::Read)] {
             let is_here =
-                |end: &&Endpoint| !matches!(end, Endpoint::OutsideWorld(_) | Endpoint::OtherMachines(_));
+                |end: &&Endpoint| !matches!(end, Endpoint::External(_) | Endpoint::OtherMachines(_));
             let ends = || ends.iter().filter(is_here);
             let channels: Vec<(String, Option<RobotId>)> = match row.scope {
                 Scope::Fleet => vec![(row.name.into(), None)],

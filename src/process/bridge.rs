@@ -13,7 +13,7 @@ pub use live::run;
 use super::control::files::{ControlFiles, FileWorker};
 use super::control::{Control, restore_files};
 use super::heartbeat::{HealthCounters, Heartbeat};
-use super::{Error, ProcessLoop, outside};
+use super::{Error, ProcessLoop, external};
 use crate::channel::{self, Channel};
 use crate::config::World;
 use crate::ports::{ChannelError, Clock as _, Ports, WritePort};
@@ -184,7 +184,7 @@ fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<(Rc<Bridge>, 
         // The link writes what robots on other machines send.
         World::Simulator | World::Robots => Bridge::new(config, run.config.robot_names(), send)?,
         World::Headset | World::Ros => {
-            let (world, epoch) = (outside::open_world(ports, run)?, run.epoch);
+            let (world, epoch) = (external::open_world(ports, run)?, run.epoch);
             Bridge::with_external_world(config, world, move |now| epoch.stamp(now), send)?
         }
     };

@@ -181,7 +181,7 @@ async fn change<W: FileWorker>(
         Request::State => Ok(()),
         Request::Stop => {
             control.borrow().apply(request)?;
-            // It is in force; that it does not outlive the bridge is said where it is written.
+            // It is set; that it does not outlive the bridge is said where it is written.
             let _ = save(control, clock()).await;
             Ok(())
         }

@@ -203,7 +203,7 @@ impl<P: Ports> MergeProcess<P> {
         }
         for (robot, reader) in &mut self.inputs.corrections {
             let received = reader.receive_counts().received;
-            changed |= set_footprint::<P>(&mut self.merger, *robot, reader, self.robot_radius_m);
+            changed |= receive_robot_poses::<P>(&mut self.merger, *robot, reader, self.robot_radius_m);
             if reader.receive_counts().received != received {
                 self.inputs.correction_received[robot.index()] = self.clock.now();
             }
@@ -305,7 +305,7 @@ fn apply_estimate(merger: &mut Merger, estimate: &FleetEstimate) -> u64 {
 
 /// Tells where a robot has been since the last step: after the maps, so that what they show of it is not older. A
 /// robot that is lost, or that has seen no scan yet, does not know. Nobody is woken for it: a peer's map is what shows a robot where it stands.
-fn set_footprint<P: Ports>(
+fn receive_robot_poses<P: Ports>(
     merger: &mut Merger,
     robot: RobotId,
     reader: &mut P::Reader<Correction>,
@@ -314,7 +314,7 @@ fn set_footprint<P: Ports>(
     let mut changed = false;
     while let Some(at) = reader.receive() {
         if at.state() != TrackingState::Lost && at.nodes > 0 {
-            changed |= merger.set_robot_footprint(robot, at.map_from_base, radius_m);
+            changed |= merger.add_robot_pose(robot, at.map_from_base, radius_m);
         }
     }
     changed

@@ -5,6 +5,7 @@
 
 pub mod bridge;
 pub mod control;
+mod external;
 pub mod file_thread;
 pub mod graph_worker;
 pub mod heartbeat;
@@ -12,7 +13,6 @@ pub mod link;
 mod map_publisher;
 pub mod merge;
 pub mod nav;
-mod outside;
 pub mod record;
 mod ros2;
 pub mod scan_demand;

@@ -53,7 +53,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 pub struct NavigationProcess<P: Ports, W> {
     navigator: FleetNavigator,
     inputs: Inputs<P>,
-    robots: Vec<RobotDesk<P>>,
+    robots: Vec<RobotChannels<P>>,
     exploration: Exploration<P>,
     zones: Zones<P>,
     saved: StateWriter<W>,
@@ -68,7 +68,7 @@ pub struct NavigationProcess<P: Ports, W> {
 }
 
 /// Commands of one robot, and where its state goes.
-struct RobotDesk<P: Ports> {
+struct RobotChannels<P: Ports> {
     robot: RobotId,
     commands: P::Reader<NavigationCommand>,
     outputs: RobotOutputs<P>,
@@ -91,8 +91,8 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
         let file = NavigationFile::new(run, storage);
         let saved = file.read();
         let clock = ports.clock();
-        let desk = |robot| {
-            Ok(RobotDesk {
+        let channels = |robot| {
+            Ok(RobotChannels {
                 robot,
                 commands: ports.reader(&channel::goal(robot))?,
                 outputs: RobotOutputs::open(ports, robot)?,
@@ -107,7 +107,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
         let mut process = Self {
             navigator: FleetNavigator::new(NavigatorConfig::of_robots(run.config.slam.map.robot_radius_m)),
             inputs: Inputs::open(ports, run)?,
-            robots: run.robots().map(desk).collect::<Result<_, crate::ports::ChannelError>>()?,
+            robots: run.robots().map(channels).collect::<Result<_, crate::ports::ChannelError>>()?,
             exploration: Exploration::open(ports, run)?,
             zones: Zones::open(ports)?,
             saved: StateWriter::new(start_files(file)?, saved.clone().unwrap_or_default()),
@@ -143,21 +143,24 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
     fn restore(&mut self, saved: SavedState) {
         let now = self.epoch.stamp(self.clock.now());
         for (number, newest) in saved.commands {
-            if let Some(desk) = self.robots.iter_mut().find(|desk| desk.robot.number() == number) {
-                desk.newest = newest;
+            if let Some(channels) = self.robots.iter_mut().find(|channels| channels.robot.number() == number)
+            {
+                channels.newest = newest;
             }
         }
         self.exploration.restore(&saved.exploration);
         self.zones.restore(&saved.zones);
         for saved in saved.goals {
-            let Some(desk) = self.robots.iter_mut().find(|desk| desk.robot.number() == saved.robot) else {
+            let Some(channels) =
+                self.robots.iter_mut().find(|channels| channels.robot.number() == saved.robot)
+            else {
                 continue;
             };
             let Ok(goal) = NavigationGoal::new(saved.frame(), saved.poses()) else { continue };
-            desk.goal = saved.goal;
-            self.navigator.set_goal(now, desk.robot, goal);
+            channels.goal = saved.goal;
+            self.navigator.set_goal(now, channels.robot, goal);
             if saved.is_paused {
-                self.navigator.pause(desk.robot);
+                self.navigator.pause(channels.robot);
             }
         }
     }
@@ -203,8 +206,8 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
                 self.inputs.receive(now);
                 let goal = self.inputs.goal(robot, command);
                 self.exploration.set_manual(robot, true);
-                let desk = &mut self.robots[index];
-                (desk.goal, desk.refusal) = (command.number, goal.as_ref().err().copied());
+                let channels = &mut self.robots[index];
+                (channels.goal, channels.refusal) = (command.number, goal.as_ref().err().copied());
                 match goal {
                     Ok(goal) => self.navigator.set_goal(stamp, robot, goal),
                     Err(_) => {
@@ -249,20 +252,20 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
         let stamp = self.epoch.stamp(now);
         self.exploration.publish(stamp, now);
         self.zones.publish(stamp);
-        for desk in &mut self.robots {
-            if self.exploration.is_driving(desk.robot) {
-                (desk.goal, desk.refusal) = (self.exploration.number(), None);
+        for channels in &mut self.robots {
+            if self.exploration.is_driving(channels.robot) {
+                (channels.goal, channels.refusal) = (self.exploration.number(), None);
             }
-            let navigation = self.navigator.robots().find(|navigation| navigation.robot == desk.robot);
+            let navigation = self.navigator.robots().find(|navigation| navigation.robot == channels.robot);
             let decision = Decision {
                 navigation,
                 is_stepped,
-                has_command: desk.newest != 0,
-                goal: desk.goal,
-                refusal: desk.refusal,
-                in_merged_map: self.inputs.is_merged(desk.robot),
+                has_command: channels.newest != 0,
+                goal: channels.goal,
+                refusal: channels.refusal,
+                in_merged_map: self.inputs.is_merged(channels.robot),
             };
-            desk.outputs.publish(stamp, now, &decision);
+            channels.outputs.publish(stamp, now, &decision);
         }
     }
 
@@ -272,26 +275,28 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
         let is_active = |robot: &RobotId| {
             navigator.robots().any(|navigation| navigation.robot == *robot && navigation.state.is_active())
         };
-        let robots = self.robots.iter().map(|desk| desk.robot);
+        let robots = self.robots.iter().map(|channels| channels.robot);
         self.scan_demand.update(robots.filter(|robot| is_exploring || is_active(robot)), now);
     }
 
     /// Saves the goals that are being driven to, or wait, and the exploration; its own goals are found again.
     fn save(&mut self) {
         let now = self.clock.now();
-        let goals = self.robots.iter().filter_map(|desk| {
-            let navigation = self.navigator.robots().find(|navigation| navigation.robot == desk.robot)?;
-            let goal =
-                self.navigator.goal(desk.robot).filter(|_| !self.exploration.is_driving(desk.robot))?;
+        let goals = self.robots.iter().filter_map(|channels| {
+            let navigation = self.navigator.robots().find(|navigation| navigation.robot == channels.robot)?;
+            let goal = self
+                .navigator
+                .goal(channels.robot)
+                .filter(|_| !self.exploration.is_driving(channels.robot))?;
             Some(SavedGoal::new(
-                (desk.robot, desk.goal),
+                (channels.robot, channels.goal),
                 goal,
                 navigation.next_pose.unwrap_or(0),
                 navigation.state == NavigationState::Paused,
             ))
         });
         let state = SavedState {
-            commands: self.robots.iter().map(|desk| (desk.robot.number(), desk.newest)).collect(),
+            commands: self.robots.iter().map(|channels| (channels.robot.number(), channels.newest)).collect(),
             goals: goals.collect(),
             exploration: self.exploration.saved(),
             zones: self.zones.saved(),
@@ -322,7 +327,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> ProcessLoop for NavigationProcess
         }
         let counters = HealthCounters { refused: self.refused, ..HealthCounters::default() };
         if now >= self.heartbeat.due() {
-            self.robots.iter().for_each(|desk| desk.outputs.refresh());
+            self.robots.iter().for_each(|channels| channels.outputs.refresh());
             self.exploration.publish(self.epoch.stamp(now), now);
             self.zones.publish(self.epoch.stamp(now));
             self.save();

@@ -24,8 +24,8 @@ pub struct SubmapPublisher<P: Ports> {
     /// Most nodes of the robot's map.
     nodes_max: usize,
     robot: RobotId,
-    /// Whether it was told that the map is full, and that submaps are left out.
-    told: [bool; 2],
+    /// Whether it was reported that the map is full, and that submaps are left out.
+    is_warned: [bool; 2],
 }
 
 impl<P: Ports> SubmapPublisher<P> {
@@ -42,14 +42,14 @@ impl<P: Ports> SubmapPublisher<P> {
             polled: now,
             nodes_max: config.graph.nodes_max,
             robot,
-            told: [false; 2],
+            is_warned: [false; 2],
         })
     }
 
     /// Starts again with the nodes of a replaced back end.
     pub fn restart(&mut self) {
         self.submaps.restart();
-        self.told = [false; 2];
+        self.is_warned = [false; 2];
     }
 
     /// Records that the back end has new nodes or a changed graph.
@@ -58,24 +58,24 @@ impl<P: Ports> SubmapPublisher<P> {
         let submaps = &self.submaps;
         self.poses.send_with(|poses| submaps.poses(back, poses));
         self.sending = true;
-        self.tell_limits(back);
+        self.warn_about_limits(back);
     }
 
     /// Says once when a limit is reached: what comes later is missing.
-    fn tell_limits(&mut self, back: &BackEnd) {
+    fn warn_about_limits(&mut self, back: &BackEnd) {
         let (robot, nodes) = (self.robot, back.nodes().len());
         let reached = [nodes >= self.nodes_max && back.grows_map(), self.submaps.not_kept() > 0];
-        if reached[0] && !self.told[0] {
+        if reached[0] && !self.is_warned[0] {
             tracing::warn!(
                 "{robot}: its map has {nodes} nodes (slam.graph.nodes_max) and grows no more; localize in it, or begin another"
             );
         }
-        if reached[1] && !self.told[1] {
+        if reached[1] && !self.is_warned[1] {
             tracing::warn!(
                 "{robot}: its map has as many submaps as merging keeps; later ones are missing where merging bends the map"
             );
         }
-        self.told = [0, 1].map(|limit| self.told[limit] || reached[limit]);
+        self.is_warned = [0, 1].map(|limit| self.is_warned[limit] || reached[limit]);
     }
 
     /// Sends a submap that has changed, if it is time. Returns when the next step is due.

@@ -146,8 +146,8 @@ impl Telemetry {
             header: Header { stamp, ..Default::default() },
             robot_count: self.robots.len() as u32,
             pair_count: pairs.count,
-            merged: self.merged.counts(),
-            room_coverage: self.merged.coverage(room, world_from_map),
+            merged_map: self.merged.counts(),
+            room_coverage: self.merged.room_coverage(room, world_from_map),
             consistency: pairs.mean.agreement,
             consistency_one_cell: pairs.mean.agreement_near,
             occupied_f1: pairs.mean.occupied_f1,
@@ -169,7 +169,7 @@ impl Telemetry {
             self.stats.robots[index] = RobotStats {
                 map_transform_error_m: error_m,
                 map_transform_error_rad: error_rad,
-                merged: u32::from(transform.is_some()),
+                is_merged: u32::from(transform.is_some()),
                 map_age_s: age_s(self.map_transforms.correction_received[index], now),
                 ..robot.stats(stamp)
             };

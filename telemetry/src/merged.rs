@@ -16,8 +16,8 @@ pub(crate) struct MergedMap {
     counts: RobotStats,
     /// Counts the maps received.
     version: u64,
-    /// Version, transform and result of the newest coverage.
-    coverage: Option<(u64, Pose2, f64)>,
+    /// Version, transform and result of the newest room coverage.
+    room_coverage: Option<(u64, Pose2, f64)>,
     accuracy: Option<MapAccuracy>,
     /// Calls since `accuracy` was computed.
     accuracy_age: usize,
@@ -59,17 +59,17 @@ impl MergedMap {
 
     /// Share of the room's observable cells that the map knows, computed when the map or the transform changes. NaN where
     /// the room or the transform is unknown.
-    pub fn coverage(&mut self, room: Option<&ObservableArea>, world_from_map: Option<Pose2>) -> f64 {
+    pub fn room_coverage(&mut self, room: Option<&ObservableArea>, world_from_map: Option<Pose2>) -> f64 {
         let (Some(room), Some(world_from_map)) = (room, world_from_map) else { return f64::NAN };
-        match self.coverage {
+        match self.room_coverage {
             Some((version, transform, coverage))
                 if version == self.version && transform == world_from_map =>
             {
                 coverage
             }
             _ => {
-                let coverage = room.coverage(self.grid.view(), world_from_map);
-                self.coverage = Some((self.version, world_from_map, coverage));
+                let coverage = room.room_coverage(self.grid.view(), world_from_map);
+                self.room_coverage = Some((self.version, world_from_map, coverage));
                 coverage
             }
         }

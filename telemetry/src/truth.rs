@@ -58,7 +58,7 @@ impl ObservableArea {
     ///
     /// A wall's cell is known, too, if a cell beside it is a wall in the map, as in [`MapAccuracy::occupied_f1`]. The
     /// cells of plan and map do not coincide: a map that draws a surface one cell nearer can never know what is behind.
-    pub fn coverage(&self, map: GridView<'_>, world_from_map: Pose2) -> f64 {
+    pub fn room_coverage(&self, map: GridView<'_>, world_from_map: Pose2) -> f64 {
         let map_from_world = world_from_map.inverse();
         let (plan, mut known) = (self.plan.view(), 0_usize);
         let mut cells = self.observable.iter().zip(&self.walls);
@@ -96,7 +96,7 @@ impl ObservableArea {
             occupied_f1: if sum > 0.0 { 2.0 * of_map.found_share * of_room.found_share / sum } else { 0.0 },
             map_to_room_m: of_map.mean_m,
             room_to_map_m: of_room.mean_m,
-            coverage: self.coverage(map, world_from_map),
+            room_coverage: self.room_coverage(map, world_from_map),
             wall_thickness_m: wall_thickness_m(map, &walls_map),
         }
     }
@@ -114,7 +114,7 @@ pub struct MapAccuracy {
     /// at most [`NEAREST_M_MAX`]: large if the map misses walls.
     pub room_to_map_m: f64,
     /// Share of the observable cells that the map knows, 0 to 1.
-    pub coverage: f64,
+    pub room_coverage: f64,
     /// Mean thickness of the map's walls, metres: large if walls are doubled.
     pub wall_thickness_m: f64,
 }
@@ -125,7 +125,7 @@ impl MapAccuracy {
         occupied_f1: f64::NAN,
         map_to_room_m: f64::NAN,
         room_to_map_m: f64::NAN,
-        coverage: f64::NAN,
+        room_coverage: f64::NAN,
         wall_thickness_m: f64::NAN,
     };
 }
@@ -214,7 +214,7 @@ mod tests {
         let room = ObservableArea::new(house(), [[1.0, 1.0]]);
         let perfect = room.compare(house().view(), Pose2::IDENTITY);
         assert_eq!((perfect.occupied_f1, perfect.map_to_room_m), (1.0, 0.0));
-        assert_eq!((perfect.room_to_map_m, perfect.coverage), (0.0, 1.0));
+        assert_eq!((perfect.room_to_map_m, perfect.room_coverage), (0.0, 1.0));
         let beside = room.compare(house().view(), Pose2::new(0.2, 0.0, 0.0));
         assert!(beside.occupied_f1 < 0.7 && beside.map_to_room_m > 0.05, "{beside:?}");
     }
@@ -230,7 +230,7 @@ mod tests {
             .for_each(|(_, cell)| *cell = UNKNOWN);
         let room = ObservableArea::new(house(), []);
         let seen = room.compare(half.view(), Pose2::IDENTITY);
-        within(seen.coverage, 0.5, 0.02);
+        within(seen.room_coverage, 0.5, 0.02);
         assert!(seen.map_to_room_m < 0.02 && seen.room_to_map_m > 0.2, "{seen:?}");
     }
 
@@ -243,7 +243,7 @@ mod tests {
             let mut map = plan.clone();
             (10..10 + nearer).for_each(|y| map.cells[y * width + 10..y * width + 250].fill(UNKNOWN));
             map.cells[(10 + nearer) * width + 10..(10 + nearer) * width + 250].fill(90);
-            ObservableArea::new(plan.clone(), []).coverage(map.view(), Pose2::IDENTITY)
+            ObservableArea::new(plan.clone(), []).room_coverage(map.view(), Pose2::IDENTITY)
         };
         assert_eq!((coverage(0), coverage(1)), (1.0, 1.0));
         assert!(coverage(2) < 0.999, "{}", coverage(2));
@@ -261,7 +261,8 @@ mod tests {
         let mut map = plan.clone();
         (71..89).for_each(|y| map.cells[y * width + 131..y * width + 149].fill(UNKNOWN));
         let coverage = |starts: &[[f64; 2]]| {
-            ObservableArea::new(plan.clone(), starts.iter().copied()).coverage(map.view(), Pose2::IDENTITY)
+            ObservableArea::new(plan.clone(), starts.iter().copied())
+                .room_coverage(map.view(), Pose2::IDENTITY)
         };
         assert_eq!(coverage(&[[1.0, 1.0]]), 1.0);
         assert!(coverage(&[]) < 1.0);

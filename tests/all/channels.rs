@@ -36,7 +36,7 @@ fn every_channel_has_a_name_of_its_own_a_writer_and_a_reader() {
         assert!(row.readers_max >= row.readers.len(), "{row:?}");
         let may_share = row.scope == Scope::Process || row.writers_max > 1;
         let takes_the_place_of_another =
-            |end: &&Endpoint| matches!(end, Endpoint::OutsideWorld(_) | Endpoint::OtherMachines(_));
+            |end: &&Endpoint| matches!(end, Endpoint::External(_) | Endpoint::OtherMachines(_));
         let at_once = row.writers.iter().filter(|end| !takes_the_place_of_another(end)).count();
         assert!(may_share || at_once == 1, "{row:?}");
     }

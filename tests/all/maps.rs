@@ -168,7 +168,7 @@ fn statistics_published_maps_and_files_count_the_same_cells() {
 
     let mut telemetry = telemetry::Telemetry::new(1, None, &[]);
     telemetry.update_merged_map(map, Monotonic(1));
-    let merged = telemetry.compute_stats(Stamp(0), Monotonic(1)).merged;
+    let merged = telemetry.compute_stats(Stamp(0), Monotonic(1)).merged_map;
     let counted =
         [merged.unknown_cells, merged.free_cells, merged.occupied_cells].map(|count| count as usize);
 

@@ -88,7 +88,7 @@ impl Duo {
                 let correction = member.slam.process(&member.scan).correction;
                 member.slam.work();
                 let radius_m = self.config.slam.map.robot_radius_m;
-                self.merger.set_robot_footprint(member.robot, correction.map_from_base, radius_m);
+                self.merger.add_robot_pose(member.robot, correction.map_from_base, radius_m);
                 self.merger.update_tiles(member.robot, member.slam.tiles()).unwrap();
             }
         }

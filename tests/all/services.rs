@@ -306,7 +306,7 @@ fn invalid_requests_are_refused_with_the_reason() {
     assert!(said.contains("--localize"), "{said}");
     let said = refusal(&dir, "robot1", &["save", "/proc/nowhere/a.slam"]);
     assert!(said.contains("/proc/nowhere"), "{said}");
-    assert!(refusal(&dir, "robot1", &["undo", "3"]).contains("no closure 3"));
+    assert!(refusal(&dir, "robot1", &["undo", "3"]).contains("closure 3 is not part of the graph"));
     assert!(refusal(&dir, "robot3", &["state"]).contains("robots 1 to 2"));
     // None of it has cost it its map, and it can be paused.
     assert_eq!(answer(&dir, "robot1", &["pause"])["paused"], true);

@@ -13,7 +13,7 @@ const TRUTH: Rgb = [30, 160, 70];
 /// Poses that are tied to the map, and those that are not.
 const TIED: Rgb = [40, 120, 220];
 const UNTIED: Rgb = [150, 70, 190];
-/// Closures in force: right ones, wrong ones.
+/// Active closures: right ones, wrong ones.
 const RIGHT: Rgb = [0, 170, 180];
 const WRONG: Rgb = [230, 60, 50];
 

@@ -89,15 +89,15 @@ pub struct Outcome {
     pub doubts: MapDoubts,
     /// Whether SLAM calls its map unreliable.
     pub is_unreliable: bool,
-    /// Number of closures in force: right, wrong.
+    /// Number of active closures: right, wrong.
     pub closures: [usize; 2],
     /// Number of closures taken back: right, wrong.
     pub retracted: [usize; 2],
-    /// Number of wrong links between scans in force.
+    /// Number of active wrong links between scans.
     pub wrong_links: usize,
     /// NEES over its degrees of freedom: median over the scans that were tracked.
     pub nees: Option<f64>,
-    /// The same of links and of closures in force, against the truth: median over the edges.
+    /// The same of active links and closures, against the truth: median over the edges.
     pub edge_nees: [Option<f64>; 2],
     /// Share of the walls that scans hit that are walls in the map.
     pub walls_share: f64,
@@ -170,7 +170,7 @@ pub struct Scored {
     pub world_from_map: Pose2,
     /// All poses in order.
     pub poses: Vec<ScoredPose>,
-    /// Both ends of the closures in force in the map, and whether each is wrong.
+    /// Both ends of the active closures in the map, and whether each is wrong.
     pub closures: Vec<([Pose2; 2], bool)>,
 }
 
@@ -254,7 +254,7 @@ impl Outcome {
         Scored { world_from_map, poses, closures }
     }
 
-    /// Counts right and wrong edges, and returns the closures in force.
+    /// Counts right and wrong edges, and returns the active closures.
     fn score_edges(
         &mut self,
         back: &BackEnd,
@@ -275,7 +275,7 @@ impl Outcome {
                     active.push((poses, wrong == 1));
                 }
                 (EdgeKind::Closure, false) => self.retracted[wrong] += 1,
-                (EdgeKind::Link, true) => {
+                (EdgeKind::ScanMatch, true) => {
                     self.wrong_links += wrong;
                     nees[0].push(measured);
                 }

@@ -107,7 +107,7 @@ impl Bridge {
         let finite = |value: fn(&FleetStats) -> f64| stats.map(value).filter(|value| value.is_finite());
         FleetStatus {
             robots: core.fleet.robots().map(|robot| robot_status(&core, robot, viewer, now)).collect(),
-            merged_known_m2: stats.map(|stats| known_m2(&stats.merged)),
+            merged_known_m2: stats.map(|stats| known_m2(&stats.merged_map)),
             room_coverage: finite(|stats| stats.room_coverage),
             consistency: finite(|stats| stats.consistency)
                 .filter(|_| stats.is_some_and(|s| s.pair_count > 0)),
@@ -146,9 +146,9 @@ fn robot_status(core: &Core, robot: RobotId, viewer: ClientId, now: Monotonic) -
         scan_to_map_ms: stats.and_then(|stats| percentiles(&stats.scan_to_map_ms)),
         nodes: stats.map(|stats| stats.nodes),
         closures: stats.map(|stats| stats.closures),
-        is_merged: stats.map(|stats| stats.merged == 1),
+        is_merged: stats.map(|stats| stats.is_merged == 1),
         map_age_s: stats.map(|stats| stats.map_age_s).filter(|age_s| age_s.is_finite()),
-        is_map_old: stats.map(|stats| stats.merged == 1 && stats.map_age_s > MAP_OLD_AFTER_S),
+        is_map_old: stats.map(|stats| stats.is_merged == 1 && stats.map_age_s > MAP_OLD_AFTER_S),
     }
 }
 

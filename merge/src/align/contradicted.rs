@@ -1,4 +1,4 @@
-//! Parts of a map that another map contradicts, although the two agree elsewhere: one of them is bent.
+//! Parts of a map that another map contradicts, although the two agree elsewhere: one of them is deformed.
 
 use super::{DistanceField, is_usable, match_walls_at, wall_points};
 use crate::config::WallConfig;
@@ -11,14 +11,14 @@ const CONFLICT_MIN: f64 = 0.5;
 
 /// How many parts of a map were compared with another map, and how many of them it contradicts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct ComparedParts {
+pub(crate) struct ComparedSubmaps {
     /// Parts that share enough walls and floor with the other map.
     pub compared: u32,
     /// Those of them that lie elsewhere in the other map, by its walls.
     pub contradicted: u32,
 }
 
-impl ComparedParts {
+impl ComparedSubmaps {
     /// Compares parts with a map. Each part comes with the map's frame from its own.
     pub fn of<'a>(
         map: GridView<'_>,

@@ -8,7 +8,7 @@ use msg::AlignmentRefusal;
 /// places last. `walls_m` is the length of walls that are in both maps, of both together.
 pub(super) fn refusal_of(
     found: &Alignment,
-    place: &RefinedCandidate,
+    candidate: &RefinedCandidate,
     walls_m: f64,
     config: &AlignConfig,
 ) -> Option<AlignmentRefusal> {
@@ -16,7 +16,7 @@ pub(super) fn refusal_of(
     let passed = [
         (AlignmentRefusal::LittleOverlap, found.overlap_m2 >= factor * config.overlap_min_m2),
         (AlignmentRefusal::FewWalls, walls_m >= config.walls_min_m - WALLS_ROUNDING_M),
-        (AlignmentRefusal::Contradicted, place.is_possible(config)),
+        (AlignmentRefusal::Contradicted, candidate.is_possible(config)),
         (AlignmentRefusal::LittleAgreement, found.agreement >= config.agreement_min),
         (AlignmentRefusal::LittleAgreement, found.occupied_f1 >= config.occupied_f1_min),
         (AlignmentRefusal::FewObjects, found.objects_m >= config.objects_min_m),

@@ -1,11 +1,11 @@
 //! Alignment of the whole maps of two robots (first stage), and checks of accepted alignments.
 
 use super::compose::{PlacedSubmap, compose};
-use super::edge::{CheckResult, Evidence};
+use super::edge::{CheckVerdict, Evidence};
 use super::pair::{RobotPair, robots_of_pair};
 use super::robot::Robot;
 use super::submaps::SubmapStore;
-use crate::align::{Alignment, ComparedParts, align, align_near, evaluate, max_null_f1};
+use crate::align::{Alignment, ComparedSubmaps, align, align_near, evaluate, max_null_f1};
 use crate::config::{AlignConfig, MergeConfig};
 use msg::{Grid, Pose2};
 
@@ -63,12 +63,12 @@ pub(crate) struct CheckJob {
 
 /// Result of a [`CheckJob`].
 #[derive(Debug)]
-pub(crate) struct VerificationResult {
+pub(crate) struct CheckResult {
     /// The pair of robots.
     pub pair: usize,
     /// Nodes of both robots together.
     nodes: u32,
-    found: Option<(Evidence, ComparedParts)>,
+    found: Option<(Evidence, ComparedSubmaps)>,
     /// The relation of the given starts, and what the maps say of it.
     at_starts: Option<(Pose2, Evidence)>,
     config: MergeConfig,
@@ -108,20 +108,23 @@ pub(crate) fn next_check(
 ) -> Option<CheckJob> {
     for (index, pair) in pairs.iter_mut().enumerate() {
         let [a, b] = robots_of_pair(index).map(|robot| &robots[robot]);
-        if !pair.edge.is_active() && starts_relation(a, b).is_none() {
+        if !pair.edge.is_active() && a_from_b_of_starts(a, b).is_none() {
             continue;
         }
         let nodes = a.submaps.node_count() + b.submaps.node_count();
         let checked_at = pair.schedule.checked_at_nodes;
         let has_grown = f64::from(nodes) >= CHECK_GROWTH_FACTOR * f64::from(checked_at)
             || (pair.starts.are_doubted() && nodes >= checked_at + GROWTH_NODES_OF_CANDIDATE);
-        if a.estimate.transform().is_none() || b.estimate.transform().is_none() || !has_grown {
+        if a.estimate.map_from_robot_map().is_none()
+            || b.estimate.map_from_robot_map().is_none()
+            || !has_grown
+        {
             continue;
         }
         pair.schedule.checked_at_nodes = nodes.max(1);
         let maps = [a, b].map(|robot| robot.placed_in(Pose2::IDENTITY));
         if maps.iter().all(|map| !map.is_empty()) {
-            let starts = starts_relation(a, b).filter(|_| !pair.edge.is_active());
+            let starts = a_from_b_of_starts(a, b).filter(|_| !pair.edge.is_active());
             let at_starts = starts.map(|a_from_b| ([a, b].map(|robot| near_start(&robot.submaps)), a_from_b));
             return Some(CheckJob { pair: index, nodes, maps, at_starts, config: config.clone() });
         }
@@ -130,8 +133,8 @@ pub(crate) fn next_check(
 }
 
 /// Returns the second robot's map in the first's by their given starts, if both are given.
-fn starts_relation(a: &Robot, b: &Robot) -> Option<Pose2> {
-    Some(a.estimate.start()?.between(b.estimate.start()?))
+fn a_from_b_of_starts(a: &Robot, b: &Robot) -> Option<Pose2> {
+    Some(a.estimate.configured_map_from_robot_map()?.between(b.estimate.configured_map_from_robot_map()?))
 }
 
 /// Returns the submaps that the robot drew before it had driven [`NEAR_START_M`]: drift has hardly moved them.
@@ -142,9 +145,9 @@ fn near_start(submaps: &SubmapStore) -> Vec<PlacedSubmap> {
 
 fn is_due(index: usize, pair: &RobotPair, robots: &[Robot]) -> bool {
     let [a, b] = robots_of_pair(index).map(|robot| &robots[robot]);
-    let in_one_graph = a.estimate.transform().is_some() && b.estimate.transform().is_some();
+    let in_one_graph = a.estimate.map_from_robot_map().is_some() && b.estimate.map_from_robot_map().is_some();
     // Given starts are doubted only until the maps have confirmed them.
-    let by_starts = starts_relation(a, b).is_some() && !pair.starts.are_confirmed();
+    let by_starts = a_from_b_of_starts(a, b).is_some() && !pair.starts.are_confirmed();
     let nodes = [a, b].map(|robot| robot.submaps.node_count());
     let schedule = &pair.schedule;
     let growth = if pair.edge.is_candidate() {
@@ -199,7 +202,7 @@ impl AlignJob {
 
 impl CheckJob {
     /// Compares the maps.
-    pub fn run(self) -> VerificationResult {
+    pub fn run(self) -> CheckResult {
         let found = compose_both(&self.maps).and_then(|[a, b]| {
             let config = &self.config.align;
             let alignment = evaluate(a.view(), b.view(), Pose2::IDENTITY, config)?;
@@ -207,7 +210,7 @@ impl CheckJob {
                 let each = map.len().div_ceil(COMPARED_SUBMAPS_MAX).max(1);
                 let parts =
                     map.iter().step_by(each).map(|submap| (submap.grid.view(), submap.frame_from_submap));
-                ComparedParts::of(other.view(), parts, &config.walls)
+                ComparedSubmaps::of(other.view(), parts, &config.walls)
             };
             let [of_a, of_b] = &self.maps;
             let compared = submaps(of_a, &b).plus(submaps(of_b, &a));
@@ -222,7 +225,7 @@ impl CheckJob {
             let alignment = near.or_else(|| evaluate(a.view(), b.view(), a_from_b, config))?;
             Some((a_from_b, with_chance([&a, &b], alignment, config)))
         });
-        VerificationResult { pair: self.pair, nodes: self.nodes, found, at_starts, config: self.config }
+        CheckResult { pair: self.pair, nodes: self.nodes, found, at_starts, config: self.config }
     }
 }
 
@@ -238,7 +241,7 @@ impl AlignmentResult {
     }
 }
 
-impl VerificationResult {
+impl CheckResult {
     /// Records the check.
     pub fn apply(self, pairs: &mut [RobotPair]) -> CheckedPair {
         let pair = &mut pairs[self.pair];
@@ -247,9 +250,9 @@ impl VerificationResult {
             pair.compared_submaps = submaps;
             if pair.edge.is_active() {
                 match pair.edge.record_check(found, &self.config.check) {
-                    CheckResult::Confirmed => {}
-                    CheckResult::Contradicted => pair.schedule.checked_at_nodes = 0,
-                    CheckResult::Refuted => {
+                    CheckVerdict::Confirmed => {}
+                    CheckVerdict::Contradicted => pair.schedule.checked_at_nodes = 0,
+                    CheckVerdict::Refuted => {
                         pair.schedule.checked_at_nodes = 0;
                         pair.drop_edge(self.nodes);
                         checked.edge_was_dropped = true;

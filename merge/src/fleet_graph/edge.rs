@@ -226,7 +226,7 @@ impl MapEdge {
     }
 
     /// Records a comparison of the two maps where the graph has them.
-    pub fn record_check(&mut self, found: Evidence, config: &CheckConfig) -> CheckResult {
+    pub fn record_check(&mut self, found: Evidence, config: &CheckConfig) -> CheckVerdict {
         // This comparison is of one place, so the margins over other places stay as they were.
         let [margin, objects_margin] = self
             .evidence
@@ -237,11 +237,11 @@ impl MapEdge {
             alignment.overlap_m2 >= config.overlap_min_m2 && alignment.occupied_f1 < config.f1_min;
         self.contradictions = if contradicted { self.contradictions + 1 } else { 0 };
         match contradicted {
-            false => CheckResult::Confirmed,
+            false => CheckVerdict::Confirmed,
             true if self.contradictions >= config.contradictions_max && self.state == EdgeState::Accepted => {
-                CheckResult::Refuted
+                CheckVerdict::Refuted
             }
-            true => CheckResult::Contradicted,
+            true => CheckVerdict::Contradicted,
         }
     }
 
@@ -269,7 +269,7 @@ impl MapEdge {
 
 /// Result of comparing two maps again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum CheckResult {
+pub(crate) enum CheckVerdict {
     /// The maps agree, or their overlap is too small to judge.
     Confirmed,
     /// The maps contradict the edge: compare them again soon.

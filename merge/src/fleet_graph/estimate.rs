@@ -10,43 +10,43 @@ pub(crate) const TOLERANCE_M: f64 = 0.025;
 /// Frame `map` from frame `robotK/map`: one transform that is right where the robot is now, and one at each submap.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct RobotEstimate {
-    start: Option<Pose2>,
-    transform: Option<Pose2>,
-    at_submaps: Vec<Pose2>,
+    configured_map_from_robot_map: Option<Pose2>,
+    map_from_robot_map: Option<Pose2>,
+    map_from_robot_map_at_submaps: Vec<Pose2>,
     is_deformed: bool,
 }
 
 impl RobotEstimate {
     /// Creates an estimate from a given start, if there is one.
     pub fn new(start: Option<Pose2>) -> Self {
-        let mut estimate = Self { start, ..Self::default() };
+        let mut estimate = Self { configured_map_from_robot_map: start, ..Self::default() };
         estimate.reset_to(start);
         estimate
     }
 
     /// Returns the given start: `map` from `robotK/map`.
-    pub fn start(&self) -> Option<Pose2> {
-        self.start
+    pub fn configured_map_from_robot_map(&self) -> Option<Pose2> {
+        self.configured_map_from_robot_map
     }
 
     /// Forgets the given start. The estimate stays.
     pub fn forget_start(&mut self) {
-        self.start = None;
+        self.configured_map_from_robot_map = None;
     }
 
     /// Returns the published transform, exact where the robot is now; `None` while it is unknown.
-    pub fn transform(&self) -> Option<Pose2> {
-        self.transform
+    pub fn map_from_robot_map(&self) -> Option<Pose2> {
+        self.map_from_robot_map
     }
 
     /// Returns the transform at each submap of the last solution; all alike while the robot's map is not deformed.
-    pub fn at_submaps(&self) -> &[Pose2] {
-        &self.at_submaps
+    pub fn map_from_robot_map_at_submaps(&self) -> &[Pose2] {
+        &self.map_from_robot_map_at_submaps
     }
 
     /// Returns the transform at a submap; that of the newest one for submaps that came after the last solution.
     pub fn at_submap(&self, id: usize) -> Option<Pose2> {
-        self.at_submaps.get(id).or(self.at_submaps.last()).copied()
+        self.map_from_robot_map_at_submaps.get(id).or(self.map_from_robot_map_at_submaps.last()).copied()
     }
 
     /// Returns whether no single transform aligns all of the robot's map.
@@ -62,15 +62,15 @@ impl RobotEstimate {
 
     /// Sets one transform for the whole map until the next solution.
     pub fn set_transform(&mut self, transform: Option<Pose2>) {
-        self.transform = transform;
-        self.at_submaps = transform.into_iter().collect();
+        self.map_from_robot_map = transform;
+        self.map_from_robot_map_at_submaps = transform.into_iter().collect();
     }
 
     /// Applies a solution. The published transform moves only if it is off by more than [`TOLERANCE_M`] somewhere.
     pub fn apply(&mut self, at_submaps: Vec<Pose2>, submaps: &SubmapStore) {
-        self.at_submaps = at_submaps;
-        let Some(newest) = self.at_submaps.last().copied() else { return };
-        let current = self.transform.map(|transform| self.errors_m(transform, submaps));
+        self.map_from_robot_map_at_submaps = at_submaps;
+        let Some(newest) = self.map_from_robot_map_at_submaps.last().copied() else { return };
+        let current = self.map_from_robot_map.map(|transform| self.errors_m(transform, submaps));
         match current {
             Some([largest_m, _]) if largest_m <= TOLERANCE_M => self.is_deformed = false,
             Some([_, newest_m])
@@ -79,7 +79,7 @@ impl RobotEstimate {
                 self.is_deformed = true;
             }
             _ => {
-                self.transform = Some(newest);
+                self.map_from_robot_map = Some(newest);
                 self.is_deformed = self.errors_m(newest, submaps)[0] > TOLERANCE_M;
             }
         }

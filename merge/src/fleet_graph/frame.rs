@@ -22,7 +22,7 @@ pub(crate) fn set_reference(robots: &mut [Robot], robot: usize, map_from_robot_m
 /// Returns the first robot with a transform, as the successor of a reference that has left: the frame itself stays.
 pub(crate) fn successor(robots: &[Robot]) -> Option<ReferenceRobot> {
     robots.iter().enumerate().find_map(|(robot, known)| {
-        let map_from_robot_map = *known.estimate.at_submaps().first()?;
+        let map_from_robot_map = *known.estimate.map_from_robot_map_at_submaps().first()?;
         Some(ReferenceRobot { robot, map_from_robot_map })
     })
 }
@@ -42,8 +42,8 @@ pub(crate) fn reference_of_largest_component(
     let Some(largest) = largest.filter(|largest| size(*largest) > size(reference.robot)) else {
         return reference;
     };
-    let kept = robots[largest].estimate.at_submaps().first().copied();
-    let kept = kept.or(robots[largest].estimate.transform());
+    let kept = robots[largest].estimate.map_from_robot_map_at_submaps().first().copied();
+    let kept = kept.or(robots[largest].estimate.map_from_robot_map());
     robots.iter_mut().for_each(|robot| robot.reset_estimate(None));
     set_reference(robots, largest, kept.unwrap_or(Pose2::IDENTITY))
 }
@@ -64,7 +64,8 @@ fn components(robots: usize, pairs: &[RobotPair]) -> Vec<usize> {
 
 /// Gives a transform to every robot that active edges connect to the frame, and removes it from all others.
 pub(crate) fn connect_robots(robots: &mut [Robot], pairs: &[RobotPair], reference: Option<ReferenceRobot>) {
-    let mut connected: Vec<bool> = robots.iter().map(|robot| robot.estimate.start().is_some()).collect();
+    let mut connected: Vec<bool> =
+        robots.iter().map(|robot| robot.estimate.configured_map_from_robot_map().is_some()).collect();
     if let Some(reference) = reference {
         connected[reference.robot] = true;
     }
@@ -75,8 +76,8 @@ pub(crate) fn connect_robots(robots: &mut [Robot], pairs: &[RobotPair], referenc
             for (from, to, from_from_to) in [(a, b, a_from_b), (b, a, a_from_b.inverse())] {
                 if connected[from] && !connected[to] {
                     connected[to] = true;
-                    let Some(map_from_from) = robots[from].estimate.transform() else { continue };
-                    if robots[to].estimate.transform().is_none() {
+                    let Some(map_from_from) = robots[from].estimate.map_from_robot_map() else { continue };
+                    if robots[to].estimate.map_from_robot_map().is_none() {
                         robots[to].estimate.set_transform(Some(map_from_from * from_from_to));
                     }
                 }

@@ -97,7 +97,7 @@ impl JointProblem {
         };
         let mut place = vec![None; robots.len()];
         for (index, robot) in robots.iter().enumerate() {
-            if robot.estimate.transform().is_some() && !robot.submaps.poses().is_empty() {
+            if robot.estimate.map_from_robot_map().is_some() && !robot.submaps.poses().is_empty() {
                 place[index] = Some(problem.robots.len());
                 problem.add_robot(index, robot, reference.filter(|reference| reference.robot == index));
             }
@@ -118,12 +118,15 @@ impl JointProblem {
 
     /// Adds a robot's submaps at its transform, with its own links and its edge to the frame.
     fn add_robot(&mut self, index: usize, robot: &Robot, reference: Option<ReferenceRobot>) {
-        let (Some(transform), own) = (robot.estimate.transform(), robot.submaps.poses()) else { return };
+        let (Some(transform), own) = (robot.estimate.map_from_robot_map(), robot.submaps.poses()) else {
+            return;
+        };
         let first = self.poses.len();
         self.robots.push(RobotInGraph { robot: index, first, poses: own.to_vec() });
         self.poses.extend(own.iter().map(|pose| transform * *pose));
         self.edges.extend(robot.submaps.edges(first));
-        let start = robot.estimate.start().map(|start| (start, START_SIGMAS, START_KERNEL));
+        let start =
+            robot.estimate.configured_map_from_robot_map().map(|start| (start, START_SIGMAS, START_KERNEL));
         let frame =
             |reference: ReferenceRobot| (reference.map_from_robot_map, REFERENCE_SIGMAS, Kernel::Quadratic);
         if let Some((map_from_robot_map, [m, rad], kernel)) = start.or(reference.map(frame)) {
@@ -247,7 +250,7 @@ impl JointSolution {
     /// Applies the solution's transforms to the robots, and updates the pairs.
     pub fn apply(self, robots: &mut [Robot], pairs: &mut [RobotPair]) {
         for (robot, at_submaps) in self.robots {
-            if robots[robot].estimate.transform().is_some() {
+            if robots[robot].estimate.map_from_robot_map().is_some() {
                 robots[robot].apply_solution(at_submaps);
             }
         }
@@ -256,7 +259,7 @@ impl JointSolution {
             pairs[pair].closures.apply_solution(active, residual_m);
             let both = robots_of_pair(pair).map(|robot| &robots[robot]);
             let nodes = both.iter().map(|robot| robot.submaps.node_count()).sum();
-            let [a, b] = both.map(|robot| robot.estimate.transform());
+            let [a, b] = both.map(|robot| robot.estimate.map_from_robot_map());
             if let Some((a, b)) = a.zip(b) {
                 pairs[pair].edge.apply_solution(a.between(b), closures, nodes);
             }

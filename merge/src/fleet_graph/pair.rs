@@ -4,7 +4,7 @@ use super::closures::ClosureSet;
 use super::edge::MapEdge;
 use super::robot::Robot;
 use super::starts::StartsOfPair;
-use crate::align::ComparedParts;
+use crate::align::ComparedSubmaps;
 use msg::{EdgeAction, EdgeState, MergeEdge, Pose2, ROBOTS_MAX};
 
 /// One pair of robots.
@@ -17,7 +17,7 @@ pub(crate) struct RobotPair {
     /// What the two maps say of the given starts.
     pub starts: StartsOfPair,
     /// How many of their submaps the other's map contradicts, at the newest check.
-    pub compared_submaps: ComparedParts,
+    pub compared_submaps: ComparedSubmaps,
     /// When the two maps are compared.
     pub schedule: ComparisonSchedule,
 }
@@ -40,7 +40,7 @@ impl RobotPair {
     /// Returns false if the command does not apply.
     pub fn apply_command(&mut self, action: EdgeAction, in_graph: Option<Pose2>) -> bool {
         match self.edge.apply_command(action, in_graph) {
-            Some(EdgeState::Undone) => self.forget_relation(),
+            Some(EdgeState::Undone) => self.clear_evidence(),
             Some(_) => {}
             None => return false,
         }
@@ -51,18 +51,18 @@ impl RobotPair {
     /// together.
     pub fn drop_edge(&mut self, nodes: u32) {
         self.edge.refute(nodes);
-        self.forget_relation();
+        self.clear_evidence();
     }
 
-    /// Forgets what was found where the two maps lay.
-    pub fn forget_relation(&mut self) {
+    /// Clears what was found where the two maps lay: closures and compared submaps.
+    pub fn clear_evidence(&mut self) {
         self.closures.clear();
-        self.compared_submaps = ComparedParts::default();
+        self.compared_submaps = ComparedSubmaps::default();
     }
 
     /// Continues after the submaps of one of the two were lost.
     pub fn restart(&mut self, in_graph: Option<Pose2>) {
-        self.forget_relation();
+        self.clear_evidence();
         (self.schedule.aligned_at_nodes, self.schedule.checked_at_nodes) = (0, 0);
         self.edge.restart(in_graph);
     }

@@ -77,7 +77,7 @@ impl Robot {
     /// Empties the submaps for those of a restarted SLAM, which continues in the same frame.
     pub fn restart(&mut self, source: SubmapSource) {
         self.submaps.restart(Some(source));
-        self.estimate.reset_to(self.estimate.transform());
+        self.estimate.reset_to(self.estimate.map_from_robot_map());
         self.redrawn = None;
     }
 
@@ -118,7 +118,9 @@ impl Robot {
     /// Whether the robot's map is deformed, and the redrawn one is missing or off by more than [`TOLERANCE_M`].
     fn needs_redraw(&self) -> bool {
         let estimate = &self.estimate;
-        let Some(transform) = estimate.transform().filter(|_| estimate.is_deformed()) else { return false };
+        let Some(transform) = estimate.map_from_robot_map().filter(|_| estimate.is_deformed()) else {
+            return false;
+        };
         let Some(drawn) = &self.redrawn else { return true };
         if drawn.version != self.submaps.version() || drawn.transform != transform {
             return true;
@@ -135,12 +137,12 @@ impl Robot {
 /// Returns the next redraw that is due.
 pub(crate) fn next_redraw(robots: &[Robot]) -> Option<RedrawJob> {
     let (index, robot) = robots.iter().enumerate().find(|(_, robot)| robot.needs_redraw())?;
-    let transform = robot.estimate.transform()?;
+    let transform = robot.estimate.map_from_robot_map()?;
     Some(RedrawJob {
         robot: index,
         version: robot.submaps.version(),
         transform,
-        at_submaps: robot.estimate.at_submaps().to_vec(),
+        at_submaps: robot.estimate.map_from_robot_map_at_submaps().to_vec(),
         placed: robot.placed_in(transform.inverse()),
     })
 }

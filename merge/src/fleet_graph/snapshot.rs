@@ -71,9 +71,9 @@ impl FleetPoseGraph {
     /// Takes a snapshot. It changes when something is found or decided, not with each solution of the graph.
     pub fn snapshot(&self) -> FleetSnapshot {
         let robots = self.robots.iter().map(|robot| RobotSnapshot {
-            map_from_robot_map: robot.estimate.transform().map(to_values),
+            map_from_robot_map: robot.estimate.map_from_robot_map().map(to_values),
             run: robot.run,
-            is_start_known: robot.estimate.start().is_some(),
+            is_start_known: robot.estimate.configured_map_from_robot_map().is_some(),
             is_start_contradicted: robot.is_start_contradicted,
         });
         let reference =
@@ -116,7 +116,7 @@ impl FleetPoseGraph {
                 robot.remove();
             }
             (robot.run, robot.is_start_contradicted) = (kept.run, kept.is_start_contradicted);
-            let transform = transform.or(robot.estimate.start());
+            let transform = transform.or(robot.estimate.configured_map_from_robot_map());
             robot.estimate.set_transform(transform);
         }
         (self.reference, self.pairs) = (reference, pairs);

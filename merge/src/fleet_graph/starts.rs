@@ -5,7 +5,7 @@
 //! is not used any more: the place of its robot is unknown until an edge gives it.
 
 use super::FleetPoseGraph;
-use super::alignment::{AlignmentResult, VerificationResult};
+use super::alignment::{AlignmentResult, CheckResult};
 use super::edge::{Evidence, SAME_ALIGNMENT_M, SAME_ALIGNMENT_RAD};
 use super::pair::{RobotPair, robots_of_pair};
 use crate::config::{ClosureConfig, MergeConfig};
@@ -121,7 +121,7 @@ impl FleetPoseGraph {
     }
 
     /// Applies a comparison of two whole maps where the graph has them.
-    pub(crate) fn apply_check(&mut self, maps: VerificationResult) {
+    pub(crate) fn apply_check(&mut self, maps: CheckResult) {
         let pair = maps.pair;
         let checked = maps.apply(&mut self.pairs);
         if checked.starts_are_contradicted {
@@ -135,7 +135,11 @@ impl FleetPoseGraph {
     /// Returns whether the given starts of a pair put the two maps elsewhere than this, and not only because of their drift.
     fn starts_contradict(&mut self, pair: usize, aligned: Pose2) -> bool {
         let [a, b] = robots_of_pair(pair).map(|robot| &self.robots[robot]);
-        let Some((start_of_a, start_of_b)) = a.estimate.start().zip(b.estimate.start()) else { return false };
+        let Some((start_of_a, start_of_b)) =
+            a.estimate.configured_map_from_robot_map().zip(b.estimate.configured_map_from_robot_map())
+        else {
+            return false;
+        };
         let driven_m: f64 = [a, b].map(|robot| robot.submaps.distance_driven_m(0, usize::MAX)).iter().sum();
         let drift = DriftAllowance::new(driven_m, &self.config.closures);
         self.pairs[pair].starts.record_alignment(aligned, start_of_a.between(start_of_b), drift)
@@ -147,7 +151,7 @@ impl FleetPoseGraph {
         // Closures were searched where the start put the robot.
         for (index, relation) in self.pairs.iter_mut().enumerate() {
             if robots_of_pair(index).contains(&robot) {
-                relation.forget_relation();
+                relation.clear_evidence();
             }
         }
     }

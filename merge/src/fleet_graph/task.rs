@@ -1,6 +1,6 @@
 //! The expensive steps as plain values: any thread can run them, and the result depends on the input alone.
 
-use super::alignment::{AlignJob, AlignmentResult, CheckJob, VerificationResult};
+use super::alignment::{AlignJob, AlignmentResult, CheckJob, CheckResult};
 use super::closures::{MatchJob, SubmapMatchResult};
 use super::joint::{JointProblem, JointSolution};
 use super::robot::{RedrawJob, Redrawn};
@@ -39,7 +39,7 @@ pub(super) enum Job {
 #[derive(Debug)]
 pub(super) enum JobResult {
     Aligned(AlignmentResult),
-    Checked(Box<VerificationResult>),
+    Checked(Box<CheckResult>),
     Matched(SubmapMatchResult),
     Solved(Result<JointSolution, SolveError>),
     Redrawn(Redrawn),

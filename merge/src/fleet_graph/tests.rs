@@ -354,7 +354,7 @@ fn a_dropped_edge_is_not_accepted_again_on_the_same_evidence() {
     work(&mut fleet);
     let dropped = edge(&fleet);
     assert_eq!((dropped.state(), fleet.map_from_robot_map(robot(2))), (EdgeState::Dropped, None));
-    assert_eq!(dropped.closures, 0, "closures of the dropped edge are in force: {dropped:?}");
+    assert_eq!(dropped.closures, 0, "closures of the dropped edge are active: {dropped:?}");
     // More of the map is new evidence, by which the place is found again.
     let longer = true_path(18.0, 2.0, 6.0).into_iter().chain(true_path(2.0, 12.0, 8.0)).collect::<Vec<_>>();
     send(&mut fleet, 2, &longer, &drifted_path(&longer, 0.0), 1);

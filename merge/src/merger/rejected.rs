@@ -16,8 +16,8 @@ pub enum MapRejected {
     },
     /// Size, resolution or origin is not plausible.
     #[error(
-        "a grid of {width} x {height} cells of {resolution_m} m with {cells} cells and origin {origin:?} makes no \
-         sense: expected finite numbers within 100 km, 0.005 to 1 m a cell, and as many cells as the size says"
+        "a grid of {width} x {height} cells of {resolution_m} m with {cells} cells and origin {origin:?} is invalid: \
+         expected finite numbers within 100 km, 0.005 to 1 m a cell, and as many cells as the size says"
     )]
     Malformed {
         /// Columns, by the header.

@@ -48,7 +48,7 @@ pub struct EdgeView {
     pub compared_submaps: u32,
     /// Number of these that the other map contradicts.
     pub contradicted_submaps: u32,
-    /// Whether these are so many that one of the two maps is bent, or lies wrong.
+    /// Whether these are so many that one of the two maps is deformed, or lies wrong.
     pub contradicted: bool,
     /// Number of alignments tried.
     pub tries: u32,

@@ -99,7 +99,7 @@ impl FleetView {
         }
         for edge in self.merge_edges.iter().filter(|edge| edge.contradicted) {
             alarms.push(format!(
-                "the maps of {} and {} contradict each other in {} of {} places: one of them is bent, or lies wrong",
+                "the maps of {} and {} contradict each other in {} of {} places: one of them is deformed, or lies wrong",
                 edge.a, edge.b, edge.contradicted_submaps, edge.compared_submaps
             ));
         }
@@ -241,7 +241,7 @@ mod tests {
         stats.robots[1].state = TrackingState::Lost as u32;
         stats.robots[2].state = TrackingState::MapUnreliable as u32;
         stats.robots[2].scan_hz = 0.0;
-        (stats.robots[0].merged, stats.robots[0].map_age_s) = (1, 12.3);
+        (stats.robots[0].is_merged, stats.robots[0].map_age_s) = (1, 12.3);
         let client = |port: usize| ClientStatus {
             number: port as u64,
             connected_s: 60.0,

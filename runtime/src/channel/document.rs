@@ -47,7 +47,7 @@ pub fn arrows() -> Vec<(&'static str, &'static str, Vec<&'static str>)> {
 
 /// Returns the arrows of a channel between programs of the fleet itself.
 fn arrows_of(row: &ChannelRow) -> impl Iterator<Item = (Program, Program)> {
-    let drawn = |end: &&Endpoint| !matches!(end, Endpoint::OutsideWorld(_) | Endpoint::OtherMachines(_));
+    let drawn = |end: &&Endpoint| !matches!(end, Endpoint::External(_) | Endpoint::OtherMachines(_));
     let ends = |ends: &'static [Endpoint]| ends.iter().filter(drawn).map(|end| end.program());
     let readers: Vec<_> = ends(row.readers).filter(|program| !program.is_tool()).collect();
     let writers: Vec<_> = ends(row.writers).filter(|program| !program.is_tool()).collect();

@@ -19,9 +19,9 @@ pub struct SharedMemoryNeed {
     pub most: u64,
 }
 
-/// Computes what the channels of a fleet need. `outside`: the robots are not simulated here.
-pub fn shared_memory_need(robots: usize, outside: bool) -> SharedMemoryNeed {
-    let processes = processes::of_fleet(robots, outside, true).count();
+/// Computes what the channels of a fleet need. `external`: the robots are not simulated here.
+pub fn shared_memory_need(robots: usize, external: bool) -> SharedMemoryNeed {
+    let processes = processes::of_fleet(robots, external, true).count();
     let mut need = SharedMemoryNeed { least: 0, most: 0 };
     for row in CHANNELS {
         let channels = match row.scope {

@@ -8,7 +8,7 @@ pub use navigation::{
     zone_command,
 };
 
-use super::Endpoint::{Of, OfFirst, OfOthers, OtherMachines, OutsideWorld};
+use super::Endpoint::{External, Of, OfFirst, OfOthers, OtherMachines};
 use super::Program::{EdgesTool, Launcher, LinkTool, RecordTool, SlamTool, Worker};
 use super::{Channel, ChannelRow, Endpoint, Program, Scope, TypedRow};
 use msg::{
@@ -54,9 +54,9 @@ const STATE: ChannelRow = ChannelRow { scope: Scope::Fleet, depth: 2, history: 1
 /// A map's channel: readers may fall four batches of messages behind.
 const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..STREAM };
 
-const SIM_OR_OUTSIDE: &[Endpoint] = &[Of(SIM), OutsideWorld(BRIDGE)];
+const SIM_OR_EXTERNAL: &[Endpoint] = &[Of(SIM), External(BRIDGE)];
 /// Writers of what the link writes at the base, where the robots are on other machines.
-const SIM_OR_OUTSIDE_OR_LINK: &[Endpoint] = &[Of(SIM), OutsideWorld(BRIDGE), OtherMachines(LinkTool)];
+const SIM_OR_EXTERNAL_OR_LINK: &[Endpoint] = &[Of(SIM), External(BRIDGE), OtherMachines(LinkTool)];
 const SLAM_OR_LINK: &[Endpoint] = &[Of(SLAM), OtherMachines(LinkTool)];
 const EVERYBODY: &[Endpoint] =
     &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV)];
@@ -77,20 +77,13 @@ static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",
     content: "wished velocity, 20 Hz while somebody drives",
     writers: &[Of(BRIDGE)],
-    readers: &[
-        Of(SIM),
-        OutsideWorld(BRIDGE),
-        Of(RECORD),
-        Of(RecordTool),
-        Of(Launcher),
-        OtherMachines(LinkTool),
-    ],
+    readers: &[Of(SIM), External(BRIDGE), Of(RECORD), Of(RecordTool), Of(Launcher), OtherMachines(LinkTool)],
     ..STREAM
 });
 static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
     name: "scan",
     content: "one turn of the LiDAR, 10 Hz",
-    writers: SIM_OR_OUTSIDE_OR_LINK,
+    writers: SIM_OR_EXTERNAL_OR_LINK,
     readers: &[Of(SLAM), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool), OtherMachines(LinkTool)],
     // The queue holds 1.6 s of scans while SLAM is restarted or descheduled.
     depth: 16,
@@ -112,7 +105,7 @@ static SCAN_DEMAND: TypedRow<ScanDemand> = TypedRow::new(ChannelRow {
 static ODOMETRY: TypedRow<Odometry> = TypedRow::new(ChannelRow {
     name: "odometry",
     content: "wheel odometry, 20 Hz, before the scan of the same stamp",
-    writers: SIM_OR_OUTSIDE,
+    writers: SIM_OR_EXTERNAL,
     readers: &[Of(SLAM), Of(BRIDGE), Of(RECORD), Of(RecordTool)],
     depth: 64,
     // The scan of the same stamp wakes the reader.
@@ -122,7 +115,7 @@ static ODOMETRY: TypedRow<Odometry> = TypedRow::new(ChannelRow {
 static TRANSFORMS: TypedRow<Transforms> = TypedRow::new(ChannelRow {
     name: "transforms",
     content: "the robot's own frames, 20 Hz",
-    writers: SIM_OR_OUTSIDE_OR_LINK,
+    writers: SIM_OR_EXTERNAL_OR_LINK,
     readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool), OtherMachines(LinkTool)],
     ..STREAM
 });
@@ -141,7 +134,7 @@ static CLOCK: TypedRow<Clock> = TypedRow::new(ChannelRow {
     name: "clock",
     content: "the run's time, 100 Hz",
     scope: Scope::Fleet,
-    writers: &[OfFirst(SIM), OutsideWorld(BRIDGE), OtherMachines(LinkTool)],
+    writers: &[OfFirst(SIM), External(BRIDGE), OtherMachines(LinkTool)],
     readers: &[Of(BRIDGE), Of(RECORD), Of(RecordTool)],
     ..STREAM
 });

@@ -18,9 +18,9 @@ impl BackEnd {
         self.numbers.front_ids.push(node.id);
         self.lifelong.contradicted.push(0);
         node.id = self.nodes.len() as u32;
-        if let Some(anchor) = self.location.next_pose.take() {
+        if let Some(estimate) = self.location.next_node_estimate.take() {
             self.doubts.unmeasured_s = 0.0;
-            return self.add_node_at_initial_pose(node, anchor);
+            return self.add_node_at_initial_pose(node, estimate);
         }
         let Some(previous) = self.nodes.last() else {
             self.graph.add_node(node.local_from_base);

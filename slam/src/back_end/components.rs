@@ -46,34 +46,34 @@ impl BackEnd {
     /// Verifies or breaks the odometry edge before a node that did not fit. When that node, or one after
     /// it, sees what older nodes saw, a link confirms the edge; if they contradict each other, it is
     /// broken.
-    pub(super) fn check_unverified_edge(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) {
+    pub(super) fn check_unverified_node(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) {
         let node = &self.nodes[id as usize];
         if !node.is_tracked {
-            self.unverified_edge = Some(id).filter(|_| !node.odometry_break);
+            self.unverified_node = Some(id).filter(|_| !node.odometry_break);
         }
-        let Some(unverified_edge) = self.unverified_edge else { return };
-        let across = |e: &crate::graph::Edge| e.kind == EdgeKind::Link && e.a.min(e.b) < unverified_edge;
+        let Some(unverified_node) = self.unverified_node else { return };
+        let across = |e: &crate::graph::Edge| e.kind == EdgeKind::ScanMatch && e.a.min(e.b) < unverified_node;
         if self.graph.edges_of(id).any(across) {
-            self.unverified_edge = None;
+            self.unverified_node = None;
             return;
         }
         // Where the path since the edge, or before it, may have drifted, a contradiction says nothing about the edge.
         let l = &self.config.links;
         let sure = |known: &Option<RelativeUncertainty>| known.is_some_and(|known| is_sure(known, l));
-        if !sure(&relative[unverified_edge as usize]) {
+        if !sure(&relative[unverified_node as usize]) {
             return;
         }
-        let before = self.graph.uncertainty_from(unverified_edge.saturating_sub(1), l.sigma_max_m.powi(2));
+        let before = self.graph.uncertainty_from(unverified_node.saturating_sub(1), l.sigma_max_m.powi(2));
         let poses = self.graph.poses();
         let mut path_m = 0.0;
-        let not_drifted = (0..unverified_edge).rev().take_while(|old| {
+        let not_drifted = (0..unverified_node).rev().take_while(|old| {
             path_m += poses[*old as usize].distance_m(poses[*old as usize + 1]);
             path_m < STRAIGHT_M
         });
-        let not_drifted = not_drifted.last().unwrap_or(unverified_edge);
+        let not_drifted = not_drifted.last().unwrap_or(unverified_node);
         let looks_at = |id: u32| poses[id as usize].apply(self.nodes[id as usize].cloud.centroid_m());
         let [x, y] = looks_at(id);
-        let mut near: Vec<(f64, u32)> = (0..unverified_edge)
+        let mut near: Vec<(f64, u32)> = (0..unverified_node)
             .filter(|old| *old >= not_drifted || sure(&before[*old as usize]))
             .filter(|old| {
                 self.nodes[*old as usize].is_tracked
@@ -92,8 +92,8 @@ impl BackEnd {
         if !agreement.is_contradicted(BREAK_SHARE, BREAK_POINTS_MIN) {
             return;
         }
-        if self.break_odometry(unverified_edge) {
-            self.unverified_edge = None;
+        if self.break_odometry(unverified_node) {
+            self.unverified_node = None;
             self.update_components();
         }
     }

@@ -3,8 +3,8 @@
 
 use super::BackEnd;
 use crate::map_doubts::{
-    MapDoubts, NodeComparison, OdometryStep, PathCut, WallAgreement, contradicted_share,
-    odometry_residual_sigmas, path_cut,
+    MapDoubts, NodeComparison, OdometryStep, SuspectedBreak, WallAgreement, contradicted_share,
+    odometry_residual_sigmas, suspected_break,
 };
 use crate::node::Node;
 use crate::stages::Stage;
@@ -35,7 +35,7 @@ pub struct DoubtMonitor {
     /// Time in which nothing measured the motion, since its place was known last, seconds.
     pub unmeasured_s: f32,
     /// Where the path is wrong, by what its nodes contradict.
-    pub cut: Option<PathCut>,
+    pub suspected_break: Option<SuspectedBreak>,
     /// The evidence when it was summed up last.
     pub current: MapDoubts,
 }
@@ -54,7 +54,7 @@ impl DoubtMonitor {
             comparison.contradicts = renumbered(comparison.contradicts);
         }
         self.cursor = (0..self.cursor).filter(|id| is_kept(*id)).count();
-        self.cut = path_cut(&self.node_comparisons);
+        self.suspected_break = suspected_break(&self.node_comparisons);
     }
 }
 
@@ -91,9 +91,9 @@ impl BackEnd {
     }
 
     fn sum_up_doubts(&mut self) {
-        let cut = path_cut(&self.doubts.node_comparisons);
-        if cut != self.doubts.cut {
-            self.doubts.cut = cut;
+        let found = suspected_break(&self.doubts.node_comparisons);
+        if found != self.doubts.suspected_break {
+            self.doubts.suspected_break = found;
             self.update_covariances();
         }
         let untied = self.nodes.iter().filter(|node| !node.is_tied()).count();
@@ -104,7 +104,7 @@ impl BackEnd {
             distant_relocations: self.doubts.distant_relocations,
             position_sigma_m: self.largest_position_sigma_m(),
             untied_share: untied as f32 / self.nodes.len().max(1) as f32,
-            refuted_closures: self.count_refuted_closures(),
+            conflicting_closures: self.count_conflicting_closures(),
         };
     }
 

@@ -32,40 +32,40 @@ pub(super) struct Lifelong {
     /// How often each node was contradicted by later ones.
     pub contradicted: Vec<u8>,
     /// Nodes to be removed with the next batch.
-    pub retiring: Vec<u32>,
+    pub marked: Vec<u32>,
     /// Nodes removed so far.
-    pub retired: u64,
+    pub removed_nodes: u64,
 }
 
 impl BackEnd {
     /// Nodes removed so far; the others then have new numbers.
-    pub fn retired(&self) -> u64 {
-        self.lifelong.retired
+    pub fn removed_nodes(&self) -> u64 {
+        self.lifelong.removed_nodes
     }
 
     /// Removes what later nodes contradict or repeat; called after each node in lifelong mode.
-    pub(super) fn forget_views(&mut self) {
+    pub(super) fn remove_outdated_nodes(&mut self) {
         let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_is_tied()) else { return };
         self.count_contradictions(newest);
         self.mark_repeated_views(newest);
         let full = self.nodes.len() >= self.config.lifelong.nodes_max.min(self.config.graph.nodes_max);
-        if full && self.lifelong.retiring.is_empty() {
+        if full && self.lifelong.marked.is_empty() {
             self.mark_for_removal(0);
         }
-        if self.lifelong.retiring.len() >= self.config.lifelong.batch || full {
+        if self.lifelong.marked.len() >= self.config.lifelong.batch || full {
             self.remove_marked();
         }
     }
 
     fn mark_for_removal(&mut self, id: u32) {
-        if !self.lifelong.retiring.contains(&id) {
-            self.lifelong.retiring.push(id);
+        if !self.lifelong.marked.contains(&id) {
+            self.lifelong.marked.push(id);
         }
     }
 
     /// Whether a node is old enough to be touched.
     fn is_old(&self, id: usize) -> bool {
-        id + self.config.lifelong.newest < self.nodes.len() && !self.lifelong.retiring.contains(&(id as u32))
+        id + self.config.lifelong.newest < self.nodes.len() && !self.lifelong.marked.contains(&(id as u32))
     }
 
     fn same_view(&self, a: usize, b: usize, scale: f64) -> bool {
@@ -82,7 +82,7 @@ impl BackEnd {
         let linked: Vec<u32> = self
             .graph
             .edges_of(newest as u32)
-            .filter(|e| e.kind == EdgeKind::Link)
+            .filter(|e| e.kind == EdgeKind::ScanMatch)
             .map(|e| if e.a as usize == newest { e.b } else { e.a })
             .collect();
         for old in linked.into_iter().map(|id| id as usize) {
@@ -118,7 +118,7 @@ impl BackEnd {
 
     /// Removes the marked nodes, and renumbers the others.
     fn remove_marked(&mut self) {
-        let mut gone = core::mem::take(&mut self.lifelong.retiring);
+        let mut gone = core::mem::take(&mut self.lifelong.marked);
         gone.sort_unstable();
         let mut edges = self.graph.edges().to_vec();
         for &id in &gone {
@@ -152,8 +152,8 @@ impl BackEnd {
         self.lifelong.contradicted.retain(|_| (keep(id), id += 1).0);
         self.doubts.retain_nodes(keep);
         self.loop_closures.renumber(&number);
-        self.lifelong.retired += gone.len() as u64;
-        self.count_closures();
+        self.lifelong.removed_nodes += gone.len() as u64;
+        self.update_after_edge_change();
         self.numbers.earlier.clear();
         // The map is another one now: drawn anew, all at once, so that nobody sees half of it.
         self.mapper.restore(&self.nodes, self.graph.poses());
@@ -197,7 +197,7 @@ fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
             b,
             a_from_b: poses[a as usize].between(poses[b as usize]),
             information: (information + information.transpose()) * 0.5,
-            kind: if along { kind } else { EdgeKind::Link },
+            kind: if along { kind } else { EdgeKind::ScanMatch },
             is_active: true,
             variance: [variance[0] + heir_variance[0], variance[1] + heir_variance[1]],
             response: 0.0,

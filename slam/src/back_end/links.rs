@@ -108,7 +108,7 @@ impl BackEnd {
             if is_measured { fit.information_for_links(l) } else { fit.information_without_noise };
         let information = self.limited(information);
         let drift = self.drift(fit.frame_from_cloud);
-        self.graph.add_edge([a, b], fit.frame_from_cloud, information, EdgeKind::Link, drift);
+        self.graph.add_edge([a, b], fit.frame_from_cloud, information, EdgeKind::ScanMatch, drift);
         true
     }
 
@@ -118,7 +118,7 @@ impl BackEnd {
     }
 
     fn linked(&self, a: u32, b: u32) -> bool {
-        self.graph.edges_of(b).any(|e| e.kind == EdgeKind::Link && e.a == a && e.b == b)
+        self.graph.edges_of(b).any(|e| e.kind == EdgeKind::ScanMatch && e.a == a && e.b == b)
     }
 
     /// Information that claims no more than the least standard deviations allow, and nothing where nothing was seen.

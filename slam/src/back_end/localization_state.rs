@@ -16,8 +16,8 @@ pub(super) struct LocalizationState {
     pub component_relocalizer: Option<Relocalizer>,
     /// Counts of searches, while no relocalizer is at work.
     pub relocalization: RelocalizationCounts,
-    /// Pose of the next node, if it does not follow from the node before.
-    pub next_pose: Option<LocalFrameEstimate>,
+    /// Estimate of the next node's pose, if it does not follow from the node before.
+    pub next_node_estimate: Option<LocalFrameEstimate>,
     /// The newest node is the one that located the robot.
     pub just_located: bool,
 }
@@ -30,7 +30,7 @@ impl LocalizationState {
             relocalizer: None,
             component_relocalizer: None,
             relocalization: RelocalizationCounts::default(),
-            next_pose: None,
+            next_node_estimate: None,
             just_located: false,
         }
     }

@@ -91,14 +91,14 @@ impl LoopClosureState {
     }
 
     /// Whether a person undid this edge.
-    pub fn was_rejected(&self, edge: &Edge) -> bool {
+    pub fn is_rejected_edge(&self, edge: &Edge) -> bool {
         self.rejected_closures
             .iter()
             .any(|rejected| (rejected.a, rejected.b, rejected.a_from_b) == (edge.a, edge.b, edge.a_from_b))
     }
 
     /// Whether a candidate is a closure that was undone.
-    pub fn is_rejected(&self, candidate: &ClosureCandidate) -> bool {
+    pub fn resembles_rejected(&self, candidate: &ClosureCandidate) -> bool {
         self.rejected_closures.iter().any(|rejected| {
             let near = candidate.older.abs_diff(rejected.a) <= REJECTED_NODES
                 && candidate.newer.abs_diff(rejected.b) <= REJECTED_NODES;

@@ -17,7 +17,7 @@ use posegraph::information_from_sigmas;
 pub(super) const FOUND_M: f64 = 0.08;
 pub(super) const FOUND_RAD: f64 = 0.03;
 /// Least standard deviation of an estimate that a person gives, metres and radians: 0 would make its edge infinite.
-const ANCHOR_SIGMA_MIN: f64 = 1e-3;
+const ESTIMATE_SIGMA_MIN: f64 = 1e-3;
 
 /// Initial pose of the robot in a loaded map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,7 +56,7 @@ impl BackEnd {
         back.loop_closures.detector = ClosureDetector::resume(config, state.detector);
         back.numbers.earlier = samples;
         back.lifelong.contradicted = vec![0; state.nodes.len()];
-        back.unverified_edge = state.unverified_edge;
+        back.unverified_node = state.unverified_node;
         back.numbers.earlier_nodes = if start == InitialPose::Continue { 0 } else { state.nodes.len() };
         back.numbers.newest_front = state.front_ids.last().copied().unwrap_or(0);
         (back.nodes, back.numbers.front_ids) = (state.nodes, state.front_ids);
@@ -67,10 +67,10 @@ impl BackEnd {
             (state.not_found.into(), state.to_retry.into());
         (back.loop_closures.travelled_m, back.unsolved, back.loop_closures.rejected_closures) =
             (state.travelled_m, state.unsolved, state.rejected_closures);
-        (back.solutions, back.loop_closures.retracted, back.lifelong.retired) =
-            (state.solutions, state.retracted, state.retired);
+        (back.solutions, back.loop_closures.retracted, back.lifelong.removed_nodes) =
+            (state.solutions, state.retracted, state.removed_nodes);
         back.doubts = state.doubts;
-        back.count_closures();
+        back.update_after_edge_change();
         back.set_mode(mode);
         match start {
             InitialPose::Continue => {}
@@ -113,7 +113,7 @@ impl BackEnd {
             }
         };
         if let (Some(map_from_local), None) = (newest, &self.location.relocalizer) {
-            self.location.next_pose =
+            self.location.next_node_estimate =
                 Some(LocalFrameEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD });
         }
         self.location.localizer = is_fixed.then(|| Localizer::new(self.config.clone()));
@@ -126,7 +126,7 @@ impl BackEnd {
     /// estimate instead.
     pub fn start_relocalization(&mut self, estimate: Option<LocalFrameEstimate>) {
         if self.nodes.is_empty() {
-            self.location.next_pose = estimate;
+            self.location.next_node_estimate = estimate;
             return;
         }
         let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
@@ -158,7 +158,7 @@ impl BackEnd {
         let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
         let Some(relocalizer) = &mut self.location.relocalizer else { return self.integrate_node(node) };
         let relocalization = relocalizer.add_node(node, map);
-        let anchor = match relocalization {
+        let estimate = match relocalization {
             RelocalizationOutcome::NotFound => return,
             RelocalizationOutcome::Found { map_from_local } => {
                 LocalFrameEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD }
@@ -173,7 +173,7 @@ impl BackEnd {
         self.location.relocalization = relocalizer.counts();
         let waiting = relocalizer.take_waiting();
         self.location.relocalizer = None;
-        self.location.next_pose = Some(anchor);
+        self.location.next_node_estimate = Some(estimate);
         if let Some(localizer) = &mut self.location.localizer {
             localizer.clear();
         }
@@ -184,12 +184,12 @@ impl BackEnd {
         let Some(localizer) = &mut self.location.localizer else {
             self.grow_map(node);
             if self.location.mode == SlamMode::Lifelong {
-                self.forget_views();
+                self.remove_outdated_nodes();
             }
             return;
         };
-        let map_from_local = match self.location.next_pose.take() {
-            Some(anchor) => anchor.map_from_local,
+        let map_from_local = match self.location.next_node_estimate.take() {
+            Some(estimate) => estimate.map_from_local,
             None => localizer.newest().map_or(Pose2::IDENTITY, |(_, map_from_local)| map_from_local),
         };
         let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
@@ -200,8 +200,8 @@ impl BackEnd {
     }
 
     /// Adds the first node after the robot was located, with an edge from the nearest node of the map.
-    pub(super) fn add_node_at_initial_pose(&mut self, node: Node, anchor: LocalFrameEstimate) {
-        let map_from_node = anchor.map_from_local * node.local_from_base;
+    pub(super) fn add_node_at_initial_pose(&mut self, node: Node, estimate: LocalFrameEstimate) {
+        let map_from_node = estimate.map_from_local * node.local_from_base;
         let nearest = self.nearest_in_map(map_from_node);
         let id = node.id;
         self.graph.add_node(map_from_node);
@@ -209,8 +209,8 @@ impl BackEnd {
         if let Some(nearest) = nearest {
             let measured = self.graph.poses()[nearest as usize].between(map_from_node);
             let information = information_from_sigmas(
-                anchor.sigma_m.max(ANCHOR_SIGMA_MIN),
-                anchor.sigma_rad.max(ANCHOR_SIGMA_MIN),
+                estimate.sigma_m.max(ESTIMATE_SIGMA_MIN),
+                estimate.sigma_rad.max(ESTIMATE_SIGMA_MIN),
             );
             self.graph.add_edge([nearest, id], measured, information, EdgeKind::InitialPose, [0.0; 2]);
         }

@@ -30,7 +30,7 @@ const DRIVEN_M: f64 = 0.15;
 const REGULARISATION: f64 = 1e-4;
 
 /// Share of the configured errors of odometry that repeat from node to node.
-const REPEATING_SHARE: f64 = 0.5;
+const SYSTEMATIC_SHARE: f64 = 0.5;
 
 /// Mean of squared errors in variances, with the configuration as a prior.
 #[derive(Clone, Copy, Debug)]
@@ -138,7 +138,7 @@ impl BackEnd {
         let to_here =
             |kind: EdgeKind| move |edge: &&Edge| edge.kind == kind && edge.b == id && edge.a + 1 == id;
         let odometry = self.graph.edges_of(id).find(to_here(EdgeKind::Odometry)).copied();
-        let link = self.graph.edges_of(id).find(to_here(EdgeKind::Link)).copied();
+        let link = self.graph.edges_of(id).find(to_here(EdgeKind::ScanMatch)).copied();
         let Some((odometry, link)) = odometry.zip(link) else { return };
         if self.nodes[id as usize].previous_from_this.is_some() {
             let sigmas = self.configured_odometry_sigmas(odometry.a_from_b);
@@ -147,10 +147,10 @@ impl BackEnd {
     }
 
     /// Errors of odometry that repeat from node to node, as a wrong wheel radius makes them, metres and radians per metre.
-    pub(super) fn repeating_odometry_errors(&self) -> [f64; 2] {
+    pub(super) fn systematic_odometry_errors(&self) -> [f64; 2] {
         let [scale_m, scale_rad] = self.odometry_noise.scales();
         let c = &self.config.odometry;
-        [REPEATING_SHARE * scale_m * c.sigma_m_per_m, REPEATING_SHARE * scale_rad * c.sigma_rad_per_m]
+        [SYSTEMATIC_SHARE * scale_m * c.sigma_m_per_m, SYSTEMATIC_SHARE * scale_rad * c.sigma_rad_per_m]
     }
 
     /// Standard deviations of a motion by odometry as configured, metres and radians.
@@ -181,7 +181,7 @@ mod tests {
                 b: node + 1,
                 a_from_b,
                 information: information_from_sigmas(link_sigma, link_sigma),
-                kind: EdgeKind::Link,
+                kind: EdgeKind::ScanMatch,
                 is_active: true,
                 variance: [0.0; 2],
                 response: 0.0,

@@ -7,23 +7,23 @@
 use super::BackEnd;
 use crate::closure::ClosureCandidate;
 use crate::graph::{Edge, EdgeKind};
-use crate::map_doubts::PathCut;
+use crate::map_doubts::SuspectedBreak;
 use msg::{Pose2, pose::wrap_angle};
 
 /// Closures whose ends are this near in order can be compared: the graph knows the way between their ends, some 12 m, well.
 const AGREEING_NODES: u32 = 40;
 /// Distance between a closure and the map from which one of the two is wrong by what matters, metres. Closures that a map at 90° removes
 /// for some centimetres are no evidence.
-const REFUTED_M: f64 = 1.0;
-/// Most refuted closures that are compared with each other, the newest.
-const REFUTED_MAX: usize = 64;
-/// Refuted closures that agree from which the path is broken where they say that it is wrong: two acceptances of two each. One pair may be a
+const CONFLICTING_M: f64 = 1.0;
+/// Most conflicting closures that are compared with each other, the newest.
+const CONFLICTING_MAX: usize = 64;
+/// Conflicting closures that agree from which the path is broken where they say that it is wrong: two acceptances of two each. One pair may be a
 /// place that looks like another.
 const BREAKING_MIN: usize = 4;
 
 impl BackEnd {
-    /// Puts closures that were taken back into force again if new ones agree with them. If the solved graph still
-    /// contradicts them, they are taken back again.
+    /// Activates closures that were removed again if new ones agree with them. If the solved graph still
+    /// contradicts them, they are removed again.
     pub(super) fn restore_retracted(&mut self, new: &[ClosureCandidate]) {
         let edges = self.graph.edges();
         let restored: Vec<usize> = (0..edges.len())
@@ -31,7 +31,7 @@ impl BackEnd {
                 let edge = &edges[index];
                 let is_retracted = edge.kind == EdgeKind::Closure && !edge.is_active;
                 is_retracted
-                    && !self.loop_closures.was_rejected(edge)
+                    && !self.loop_closures.is_rejected_edge(edge)
                     && new.iter().any(|it| self.agrees(edge, [it.older, it.newer], it.older_from_newer))
             })
             .collect();
@@ -44,52 +44,57 @@ impl BackEnd {
     /// Number of closures that were removed although another one says the same, and that put nodes of the map more than a metre away
     /// from where they are. Either they are wrong together, or the path between their ends is: a robot that was carried along a
     /// corridor sees nothing that contradicts it but these.
-    pub(super) fn count_refuted_closures(&self) -> u32 {
-        self.refuted_closures().len() as u32
+    pub(super) fn count_conflicting_closures(&self) -> u32 {
+        self.conflicting_closures().len() as u32
     }
 
     /// Those closures, as indices of edges.
-    fn refuted_closures(&self) -> Vec<usize> {
+    fn conflicting_closures(&self) -> Vec<usize> {
         let (edges, poses) = (self.graph.edges(), self.graph.poses());
         let component = |id: u32| self.nodes[id as usize].disconnected_component;
-        let is_refuted = |edge: &Edge| {
+        let is_conflicting = |edge: &Edge| {
             let in_map = poses[edge.a as usize].between(poses[edge.b as usize]);
             edge.kind == EdgeKind::Closure
                 && !edge.is_active
                 && component(edge.a) == component(edge.b)
-                && in_map.distance_m(edge.a_from_b) > REFUTED_M
-                && !self.loop_closures.was_rejected(edge)
+                && in_map.distance_m(edge.a_from_b) > CONFLICTING_M
+                && !self.loop_closures.is_rejected_edge(edge)
         };
-        let refuted: Vec<usize> =
-            (0..edges.len()).rev().filter(|index| is_refuted(&edges[*index])).take(REFUTED_MAX).collect();
+        let conflicting: Vec<usize> = (0..edges.len())
+            .rev()
+            .filter(|index| is_conflicting(&edges[*index]))
+            .take(CONFLICTING_MAX)
+            .collect();
         let is_confirmed = |index: usize| {
-            refuted.iter().any(|other| {
+            conflicting.iter().any(|other| {
                 let (edge, other_edge) = (&edges[index], &edges[*other]);
                 index != *other && self.agrees(edge, [other_edge.a, other_edge.b], other_edge.a_from_b)
             })
         };
-        refuted.iter().copied().filter(|index| is_confirmed(*index)).collect()
+        conflicting.iter().copied().filter(|index| is_confirmed(*index)).collect()
     }
 
-    /// Breaks the path where many removed closures agree that it is wrong, and puts these into force: the robot was carried there, and
+    /// Breaks the path where many removed closures agree that it is wrong, and activates these: the robot was carried there, and
     /// saw nothing that contradicted it. The nodes around the break stay untied, as the place is not known better.
-    pub(super) fn break_path_at_refuted_closures(&mut self) {
-        let refuted = self.refuted_closures();
-        let Some(newest) = refuted.first().copied().filter(|_| refuted.len() >= BREAKING_MIN) else { return };
+    pub(super) fn break_path_at_conflicting_closures(&mut self) {
+        let conflicting = self.conflicting_closures();
+        let Some(newest) = conflicting.first().copied().filter(|_| conflicting.len() >= BREAKING_MIN) else {
+            return;
+        };
         let edges = self.graph.edges();
         let ends = |edge: &Edge| [edge.a.min(edge.b), edge.a.max(edge.b)];
-        let spans: Vec<[u32; 2]> = refuted.iter().map(|index| ends(&edges[*index])).collect();
+        let spans: Vec<[u32; 2]> = conflicting.iter().map(|index| ends(&edges[*index])).collect();
         let active = edges.iter().filter(|edge| edge.kind == EdgeKind::Closure && edge.is_active);
         let active: Vec<[u32; 2]> = active.map(ends).collect();
-        let Some(cut) = wrong_motion(&spans, &active) else { return };
-        if self.nodes[cut.before as usize + 1..=cut.after as usize].iter().any(|node| node.odometry_break) {
+        let Some(at) = suspected_break_of_closures(&spans, &active) else { return };
+        if self.nodes[at.before as usize + 1..=at.after as usize].iter().any(|node| node.odometry_break) {
             return;
         }
-        for step in [cut.before, cut.after - 1] {
+        for step in [at.before, at.after - 1] {
             for index in 0..self.graph.edges().len() {
                 let edge = self.graph.edge_mut(index);
                 let [first, last] = ends(edge);
-                if edge.kind == EdgeKind::Link && (first..last).contains(&step) {
+                if edge.kind == EdgeKind::ScanMatch && (first..last).contains(&step) {
                     edge.is_active = false;
                 }
             }
@@ -100,10 +105,10 @@ impl BackEnd {
         let closure =
             ClosureCandidate { older: a, newer: b, older_from_newer: a_from_b, information, response };
         self.align_components(&closure);
-        for index in &refuted {
+        for index in &conflicting {
             self.graph.edge_mut(*index).is_active = true;
         }
-        self.loop_closures.retracted = self.loop_closures.retracted.saturating_sub(refuted.len() as u64);
+        self.loop_closures.retracted = self.loop_closures.retracted.saturating_sub(conflicting.len() as u64);
         self.solve(true);
     }
 
@@ -119,13 +124,13 @@ impl BackEnd {
 
 /// The place in the path that all these removed closures span, and none of those in the graph: there the motion is wrong. Each closure is the
 /// first and the last node of what it spans.
-fn wrong_motion(removed: &[[u32; 2]], active: &[[u32; 2]]) -> Option<PathCut> {
+fn suspected_break_of_closures(removed: &[[u32; 2]], active: &[[u32; 2]]) -> Option<SuspectedBreak> {
     let first = removed.iter().map(|[first, _]| *first).max()?;
     let last = removed.iter().map(|[_, last]| *last).min()?;
     let is_confirmed = |step: u32| active.iter().any(|[first, last]| (*first..*last).contains(&step));
     let before = (first..last).find(|step| !is_confirmed(*step))?;
     let after = (first..last).rfind(|step| !is_confirmed(*step))? + 1;
-    Some(PathCut { before, after })
+    Some(SuspectedBreak { before, after })
 }
 
 #[cfg(test)]
@@ -140,7 +145,7 @@ mod tests {
         for id in 1..70 {
             let information = information_from_sigmas(0.0046, 0.0005);
             let moved = Pose2::new(0.3, 0.0, 0.0);
-            back.graph.add_edge([id - 1, id], moved, information, EdgeKind::Link, [0.0; 2]);
+            back.graph.add_edge([id - 1, id], moved, information, EdgeKind::ScanMatch, [0.0; 2]);
         }
         back
     }
@@ -170,7 +175,7 @@ mod tests {
         let closure = |k: u32| closure(k, 17.4);
         back.add_closures(&[closure(0), closure(1)]);
         assert_eq!((back.counts().closures, back.counts().retracted), (0, 2));
-        assert_eq!(back.count_refuted_closures(), 0, "less than a metre");
+        assert_eq!(back.count_conflicting_closures(), 0, "less than a metre");
         back.add_closures(&[closure(2), closure(3)]);
         back.add_closures(&[closure(4), closure(5)]);
         back.add_closures(&[closure(6), closure(7)]);
@@ -180,13 +185,16 @@ mod tests {
     }
 
     #[test]
-    fn the_wrong_motion_lies_where_all_removed_closures_and_none_in_force_span_the_path() {
+    fn the_wrong_motion_lies_where_all_removed_closures_and_none_active_span_the_path() {
         let removed = [[3, 60], [5, 62], [7, 64]];
-        assert_eq!(wrong_motion(&removed, &[]), Some(PathCut { before: 7, after: 60 }));
-        assert_eq!(wrong_motion(&removed, &[[0, 40], [58, 70]]), Some(PathCut { before: 40, after: 58 }));
-        assert_eq!(wrong_motion(&removed, &[[0, 60]]), None, "the others confirm all of it");
-        assert_eq!(wrong_motion(&[[3, 20], [40, 60]], &[]), None, "not one place");
-        assert_eq!(wrong_motion(&[], &[]), None);
+        assert_eq!(suspected_break_of_closures(&removed, &[]), Some(SuspectedBreak { before: 7, after: 60 }));
+        assert_eq!(
+            suspected_break_of_closures(&removed, &[[0, 40], [58, 70]]),
+            Some(SuspectedBreak { before: 40, after: 58 })
+        );
+        assert_eq!(suspected_break_of_closures(&removed, &[[0, 60]]), None, "the others confirm all of it");
+        assert_eq!(suspected_break_of_closures(&[[3, 20], [40, 60]], &[]), None, "not one place");
+        assert_eq!(suspected_break_of_closures(&[], &[]), None);
     }
 
     #[test]
@@ -215,7 +223,7 @@ mod tests {
         assert!(!(42..60).any(is_tied), "what lies between has no known place");
         // Nothing is left to break.
         let edges = back.graph.edges().len();
-        back.break_path_at_refuted_closures();
+        back.break_path_at_conflicting_closures();
         assert_eq!((back.counts().closures, back.graph.edges().len()), (6, edges));
     }
 
@@ -227,7 +235,7 @@ mod tests {
         assert!(!back.doubts().is_unreliable(), "one alone may be wrong: {:?}", back.doubts());
         back.add_closures(&[closure(1, 14.7)]);
         back.renew_doubts();
-        assert_eq!((back.counts().closures, back.doubts().refuted_closures), (0, 2));
+        assert_eq!((back.counts().closures, back.doubts().conflicting_closures), (0, 2));
         assert!(back.doubts().is_unreliable());
     }
 }

@@ -34,9 +34,9 @@ pub struct BackEndState {
     /// Number of closures retracted.
     pub retracted: u64,
     /// Number of nodes removed in lifelong mode.
-    pub retired: u64,
+    pub removed_nodes: u64,
     /// The newest node that odometry alone connects with the nodes before.
-    pub unverified_edge: Option<u32>,
+    pub unverified_node: Option<u32>,
     /// State of the closure detector.
     pub detector: ClosureDetectorState,
     /// Closures that were undone.
@@ -60,8 +60,8 @@ impl BackEnd {
             unsolved: self.unsolved,
             solutions: self.solutions,
             retracted: self.loop_closures.retracted,
-            retired: self.lifelong.retired,
-            unverified_edge: self.unverified_edge,
+            removed_nodes: self.lifelong.removed_nodes,
+            unverified_node: self.unverified_node,
             detector: self.loop_closures.detector.state(),
             rejected_closures: self.loop_closures.rejected_closures.clone(),
             doubts: self.doubts.clone(),

@@ -4,7 +4,7 @@
 //! for as everywhere, and with the covariance the piece joins the map.
 
 use super::BackEnd;
-use crate::map_doubts::PathCut;
+use crate::map_doubts::SuspectedBreak;
 
 /// A node whose position has a larger standard deviation, relative to the map, is not part of it, metres. Public logs of large
 /// buildings, whose maps are right, have up to 1.48.
@@ -19,22 +19,22 @@ impl BackEnd {
         for id in 0..self.nodes.len() as u32 {
             self.nodes[id as usize].uncertain_piece = self.piece_beyond_cut(id);
         }
-        let repeating = self.repeating_odometry_errors();
+        let systematic = self.systematic_odometry_errors();
         // First node and size of the largest piece.
         let mut largest: Option<(u32, usize)> = None;
         let mut seen_from = None;
         for _ in 0..PIECES_MAX {
             let Some(first) = self.nodes.iter().find(|node| node.in_map()).map(|node| node.id) else { break };
-            self.graph.update_covariances(first, repeating);
+            self.graph.update_covariances(first, systematic);
             seen_from = Some(first);
             let size = self.mark_piece(first);
             if largest.is_none_or(|(_, most)| size > most) {
                 largest = Some((first, size));
             }
         }
-        let Some((first, _)) = largest else { return self.graph.update_covariances(0, repeating) };
+        let Some((first, _)) = largest else { return self.graph.update_covariances(0, systematic) };
         if seen_from != Some(first) {
-            self.graph.update_covariances(first, repeating);
+            self.graph.update_covariances(first, systematic);
         }
         for id in 0..self.nodes.len() as u32 {
             let (is_known, beyond_cut) = (self.is_position_known(id), self.piece_beyond_cut(id));
@@ -46,7 +46,7 @@ impl BackEnd {
 
     /// First node of the piece of a node that lies beyond the place where the path is wrong, as seen from the larger part of it.
     fn piece_beyond_cut(&self, id: u32) -> Option<u32> {
-        let PathCut { before, after } = self.doubts.cut?;
+        let SuspectedBreak { before, after } = self.doubts.suspected_break?;
         let is_earlier_larger = before + 1 >= self.nodes.len() as u32 - after.min(self.nodes.len() as u32);
         match is_earlier_larger {
             true => (id > before).then_some(before + 1),
@@ -103,7 +103,7 @@ mod tests {
             let sigma_m = if id == 20 { 3.0 } else { 0.01 };
             let information = information_from_sigmas(sigma_m, 0.001);
             let moved = Pose2::new(1.0, 0.0, 0.0);
-            back.graph.add_edge([id - 1, id], moved, information, EdgeKind::Link, [0.0; 2]);
+            back.graph.add_edge([id - 1, id], moved, information, EdgeKind::ScanMatch, [0.0; 2]);
         }
         back.update_covariances();
         back
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn what_lies_beyond_a_wrong_motion_is_no_part_of_the_map() {
         let mut back = path_with_gap();
-        back.doubts.cut = Some(PathCut { before: 49, after: 52 });
+        back.doubts.suspected_break = Some(SuspectedBreak { before: 49, after: 52 });
         back.update_covariances();
         assert!(back.nodes[20..50].iter().all(Node::is_tied));
         assert!(back.nodes[50..].iter().all(|node| node.untied_piece() == Some(50)));

@@ -92,7 +92,7 @@ impl BackEnd {
         let between_passes: Vec<usize> = (first..self.graph.edges().len())
             .filter(|&i| {
                 let e = &self.graph.edges()[i];
-                e.is_active && e.kind == EdgeKind::Link && e.a.abs_diff(e.b) > PASS_NODES
+                e.is_active && e.kind == EdgeKind::ScanMatch && e.a.abs_diff(e.b) > PASS_NODES
             })
             .collect();
         let mut again: Vec<u32> = between_passes.iter().map(|&i| self.graph.edges()[i].b).collect();

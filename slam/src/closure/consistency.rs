@@ -17,7 +17,7 @@ use posegraph::limit_information;
 const CHI_SQUARED_MAX: f64 = 2.37;
 /// The same where errors that repeat along the way count too, which are no more than they are: the 75 % quantile. fhw needs 3.5, and is the same up
 /// to 6.25.
-const CHI_SQUARED_REPEATING_MAX: f64 = 4.11;
+const CHI_SQUARED_SYSTEMATIC_MAX: f64 = 4.11;
 
 /// Whether the graph, before this closure, admits it: its error in standard deviations of both. `known` is how well the node is
 /// known as seen from the candidate: the errors that repeat are taken from it. `None` where nothing joins them.
@@ -40,7 +40,7 @@ pub(super) fn is_consistent(
     let RelativeUncertainty { bias_m, bias_rad, .. } = known.unwrap_or_default();
     let bias = Vector3::new(bias_m, bias_m, bias_rad).map(|sigma| sigma * sigma);
     let covariance = path_covariance + Matrix3::from_diagonal(&bias) + turn_covariance(measured, a.yaw_rad);
-    let most = if bias_m > 0.0 { CHI_SQUARED_REPEATING_MAX } else { CHI_SQUARED_MAX };
+    let most = if bias_m > 0.0 { CHI_SQUARED_SYSTEMATIC_MAX } else { CHI_SQUARED_MAX };
     covariance.try_inverse().is_none_or(|inverse| (error.transpose() * inverse * error)[0] < most)
 }
 

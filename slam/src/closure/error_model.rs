@@ -1,29 +1,28 @@
-//! Which errors of the way a closure search counts: it looks first where independent errors allow, then where errors that repeat do.
+//! Which errors of the way a closure search counts: it looks first where random errors allow, then where systematic ones do.
 
 use crate::graph::RelativeUncertainty;
 
 /// Errors of the way that a search counts.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum ErrorModel {
-    /// Those of each edge by itself.
-    Independent,
-    /// And those that repeat along the way.
-    Repeating,
+    /// Those of each edge by itself, which are independent of each other.
+    Random,
+    /// Also those that repeat along the way, such as of a wrong wheel radius.
+    Systematic,
 }
 
 impl ErrorModel {
     /// Returns what is known of a node with these errors.
     pub(super) fn of(self, known: RelativeUncertainty) -> RelativeUncertainty {
         match self {
-            Self::Independent => RelativeUncertainty { bias_m: 0.0, bias_rad: 0.0, ..known },
-            Self::Repeating => known.with_bias(),
+            Self::Random => RelativeUncertainty { bias_m: 0.0, bias_rad: 0.0, ..known },
+            Self::Systematic => known.with_bias(),
         }
     }
 
     /// Whether a search that counts them differs from one that does not.
     pub(super) fn matter(self, known: Option<RelativeUncertainty>) -> bool {
-        self == Self::Independent
-            || known.is_some_and(|known| known.bias_m.powi(2) > known.position_variance_m2)
+        self == Self::Random || known.is_some_and(|known| known.bias_m.powi(2) > known.position_variance_m2)
     }
 }
 
@@ -43,17 +42,17 @@ mod tests {
             if id > 0 {
                 let information = information_from_sigmas(0.01, 0.003);
                 let moved = Pose2::new(1.0, 0.0, 0.0);
-                graph.add_edge([id as u32 - 1, id as u32], moved, information, EdgeKind::Link, [0.0; 2]);
+                graph.add_edge([id as u32 - 1, id as u32], moved, information, EdgeKind::ScanMatch, [0.0; 2]);
             }
         }
         let known = graph.uncertainty_from(0, f64::INFINITY);
         let [near, far] = [8, 150].map(|id: usize| known[id].unwrap());
         // 0.5 mrad a metre: 75 mrad, and 5.6 m to the side.
         assert!((far.bias_rad - 0.075).abs() < 1e-9 && (far.bias_m - 5.5875).abs() < 1e-6, "{far:?}");
-        assert!(ErrorModel::Repeating.matter(Some(far)) && !ErrorModel::Repeating.matter(Some(near)));
-        assert!(ErrorModel::Independent.matter(Some(near)) && ErrorModel::Independent.matter(None));
-        assert!(ErrorModel::Repeating.of(far).position_variance_m2.sqrt() > 5.58);
-        assert!(ErrorModel::Independent.of(far).position_variance_m2.sqrt() < 4.0);
-        assert_eq!(ErrorModel::Independent.of(far).bias_m, 0.0);
+        assert!(ErrorModel::Systematic.matter(Some(far)) && !ErrorModel::Systematic.matter(Some(near)));
+        assert!(ErrorModel::Random.matter(Some(near)) && ErrorModel::Random.matter(None));
+        assert!(ErrorModel::Systematic.of(far).position_variance_m2.sqrt() > 5.58);
+        assert!(ErrorModel::Random.of(far).position_variance_m2.sqrt() < 4.0);
+        assert_eq!(ErrorModel::Random.of(far).bias_m, 0.0);
     }
 }

@@ -47,7 +47,8 @@ impl FrontEnd {
     }
 
     fn match_cloud(&mut self, cloud: &Cloud, prediction: &PosePrediction) -> TrackedPose {
-        let after_loss = self.nodes.last_scan_lost || self.matcher.newest_saw_nothing(&self.config.tracking);
+        let after_loss =
+            self.node_builder.last_scan_lost || self.matcher.newest_saw_nothing(&self.config.tracking);
         self.matcher.match_scan(cloud, prediction, after_loss, &self.config, &mut *self.stages)
     }
 

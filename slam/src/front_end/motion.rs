@@ -104,13 +104,13 @@ impl FrontEnd {
         continuous_from_base: Option<Pose2>,
     ) {
         if continuous_from_base.is_some() && self.motion.node_continuous_from_base.is_some() {
-            self.nodes.unmeasured_s = 0.0;
+            self.node_builder.unmeasured_s = 0.0;
             return;
         }
         let leaves_open =
             pose.state == TrackingState::Lost || pose.worst_position_sigma_m > UNMEASURED_SIGMA_M;
         if let (true, Some(last)) = (leaves_open, self.motion.last.as_ref()) {
-            self.nodes.unmeasured_s += (stamp - last.stamp) as f32;
+            self.node_builder.unmeasured_s += (stamp - last.stamp) as f32;
         }
     }
 }

@@ -17,7 +17,7 @@ pub struct FrontEndState {
     /// Id of the next node.
     pub next_node: u32,
     /// Number of the newest nodes that serve as references of scan matching.
-    pub recent: u32,
+    pub reference_count: u32,
     /// Number of the newest nodes in the older and in the younger local map.
     pub local_maps: [u32; 2],
     /// Number of consecutive scans that did not fit, up to the last one.
@@ -44,7 +44,7 @@ pub struct FrontEndState {
     /// Counts of scans by what became of them.
     pub counts: FrontEndCounts,
     /// Frame updates that take effect with a later node, oldest first.
-    pub waiting: Vec<MapFrameUpdate>,
+    pub frame_updates: Vec<MapFrameUpdate>,
     /// The newest odometry messages, in the continuous frame.
     pub odometry: Vec<Odometry>,
     /// Pose of the odometry frame in the continuous frame, which does not jump when the writer restarts.
@@ -60,7 +60,7 @@ impl FrontEnd {
     /// map's newest nodes, in order: as many as the state speaks of.
     pub fn resume(config: SlamConfig, state: FrontEndState, newest: &[Node]) -> Self {
         let mut front = Self::new(config);
-        front.matcher.restore(newest, state.recent, state.local_maps, &front.config.tracking);
+        front.matcher.restore(newest, state.reference_count, state.local_maps, &front.config.tracking);
         front.motion = MotionModel {
             odometry: OdometryBuffer::from_parts(
                 front.config.odometry.clone(),
@@ -72,7 +72,7 @@ impl FrontEnd {
             node_continuous_from_base: state.node_continuous_from_base,
             node_covariance: state.node_covariance,
         };
-        front.nodes = NodeBuilder {
+        front.node_builder = NodeBuilder {
             next_node: state.next_node,
             published: newest.last().map(|node| (state.next_node.saturating_sub(1), node.local_from_base)),
             published_from_newest: state.published_from_newest,
@@ -82,7 +82,7 @@ impl FrontEnd {
             unmeasured_s: 0.0,
             swept_path: state.swept_path,
         };
-        front.frame.restore_frame_updates(state.waiting);
+        front.frame.restore_frame_updates(state.frame_updates);
         front.frame.map_from_local = state.map_from_local;
         front.frame.is_located = state.located;
         front.frame.last_break = state.last_break;
@@ -98,25 +98,25 @@ impl FrontEnd {
     pub fn state(&self) -> FrontEndState {
         let (odometry, continuous_from_odom, odometry_rejected) = self.motion.odometry.parts();
         FrontEndState {
-            next_node: self.nodes.next_node,
-            recent: self.matcher.references.len() as u32,
+            next_node: self.node_builder.next_node,
+            reference_count: self.matcher.references.len() as u32,
             local_maps: [0, 1].map(|k: usize| self.matcher.local_maps[k].nodes as u32),
-            lost_in_row: self.nodes.lost_in_row,
-            last_scan_lost: self.nodes.last_scan_lost,
+            lost_in_row: self.node_builder.lost_in_row,
+            last_scan_lost: self.node_builder.last_scan_lost,
             closures: self.frame.closures,
             located: self.frame.is_located,
             map_from_local: self.frame.map_from_local,
-            published_from_newest: self.nodes.published_from_newest,
+            published_from_newest: self.node_builder.published_from_newest,
             node_continuous_from_base: self.motion.node_continuous_from_base,
             node_covariance: self.motion.node_covariance,
             last_break: self.frame.last_break,
             last: self.motion.last,
             counts: self.counts,
-            waiting: self.frame.frame_updates.iter().copied().collect(),
+            frame_updates: self.frame.frame_updates.iter().copied().collect(),
             odometry,
             continuous_from_odom,
             odometry_rejected,
-            swept_path: self.nodes.swept_path,
+            swept_path: self.node_builder.swept_path,
         }
     }
 }

@@ -24,7 +24,7 @@ struct EdgeNoiseModel {
     variance_factor: f64,
     /// Errors of odometry that repeat, metres and radians per metre: where it alone ties nodes, they grow with the way and not with
     /// its root.
-    repeating: [f64; 2],
+    systematic: [f64; 2],
 }
 
 /// A covariance along a way through the graph.
@@ -79,10 +79,10 @@ impl Graph {
         self.covariances[newest] = best;
     }
 
-    /// Finds all covariances anew; `first` is the node whose pose in the map is certain, `repeating` the errors of odometry that
+    /// Finds all covariances anew; `first` is the node whose pose in the map is certain, `systematic` the errors of odometry that
     /// repeat, metres and radians per metre.
-    pub fn update_covariances(&mut self, first: u32, repeating: [f64; 2]) {
-        self.repeating_odometry_errors = repeating;
+    pub fn update_covariances(&mut self, first: u32, systematic: [f64; 2]) {
+        self.systematic_odometry_errors = systematic;
         self.covariance_reference_node = first;
         self.variance_factor = self.variance_of_unit_weight();
         let errors = self.learned_errors();
@@ -92,19 +92,19 @@ impl Graph {
     /// Covariance of a node's pose as seen from another one, in the map's axes, along the best way; `None` if no edges join
     /// them. `drift` is a standard deviation that is added to each edge but odometry's, metres and radians per metre.
     pub fn relative_covariance(&self, from: u32, to: u32, drift: [f64; 2]) -> Option<Matrix3<f64>> {
-        let errors = EdgeNoiseModel { drift, variance_factor: 1.0, repeating: [0.0; 2] };
+        let errors = EdgeNoiseModel { drift, variance_factor: 1.0, systematic: [0.0; 2] };
         self.covariances_from(from, Some(to), errors)[to as usize].map(|known| known.covariance)
     }
 
     fn learned_errors(&self) -> EdgeNoiseModel {
-        let repeating = self.repeating_odometry_errors;
-        EdgeNoiseModel { drift: [0.0; 2], variance_factor: self.variance_factor, repeating }
+        let systematic = self.systematic_odometry_errors;
+        EdgeNoiseModel { drift: [0.0; 2], variance_factor: self.variance_factor, systematic }
     }
 
     /// How large the links' errors in the solved graph are, in variances that they claim: the variance of unit weight (Mikhail,
     /// "Observations and Least Squares", 1976).
     fn variance_of_unit_weight(&self) -> f64 {
-        let links = || self.edges.iter().filter(|edge| edge.is_active && edge.kind == EdgeKind::Link);
+        let links = || self.edges.iter().filter(|edge| edge.is_active && edge.kind == EdgeKind::ScanMatch);
         let squared: f64 = links().map(|edge| self.chi_squared(edge).min(CHI_SQUARED_MAX)).sum();
         let freedom = 3.0 * (links().count() as f64 - self.poses.len() as f64 + 1.0);
         let [least, most] = VARIANCE_FACTORS;
@@ -154,7 +154,7 @@ impl Graph {
         errors: EdgeNoiseModel,
     ) -> Option<PathCovariance> {
         let [a, b] = [edge.a, edge.b].map(|id| self.poses[id as usize]);
-        let is_scan = |e: &Edge| matches!(e.kind, EdgeKind::Link | EdgeKind::Closure);
+        let is_scan = |e: &Edge| matches!(e.kind, EdgeKind::ScanMatch | EdgeKind::Closure);
         let scaled =
             |e: &Edge| if is_scan(e) { e.information / errors.variance_factor } else { e.information };
         let same = || self.edges_of(edge.b).filter(|e| e.a == edge.a && e.b == edge.b);
@@ -163,7 +163,7 @@ impl Graph {
         let drifts_over_m = if edge.kind == EdgeKind::Odometry { 0.0 } else { length_m };
         let is_odometry_alone = edge.kind == EdgeKind::Odometry && !same().any(is_scan);
         let odometry_m = if is_odometry_alone { known.odometry_m + length_m } else { 0.0 };
-        let repeated = errors.repeating.map(|per_m| match is_odometry_alone {
+        let repeated = errors.systematic.map(|per_m| match is_odometry_alone {
             true => per_m.powi(2) * (odometry_m.powi(2) - known.odometry_m.powi(2)),
             false => 0.0,
         });
@@ -245,7 +245,7 @@ mod tests {
         for older in [3, 4] {
             let moved = Pose2::new(f64::from(5 - older), 0.0, 0.0);
             let information = information_from_sigmas(0.02, 0.003);
-            graph.add_edge([older as u32, 5], moved, information, EdgeKind::Link, [0.0; 2]);
+            graph.add_edge([older as u32, 5], moved, information, EdgeKind::ScanMatch, [0.0; 2]);
         }
         graph.update_newest_covariance();
         let at_once = graph.covariance(5);

@@ -213,15 +213,15 @@ impl BackEnd {
             front = Some(record.front);
         }
         let mut front = front.filter(|front| {
-            let referenced = [front.recent, front.local_maps[0], front.local_maps[1]];
+            let referenced = [front.reference_count, front.local_maps[0], front.local_maps[1]];
             referenced.iter().all(|count| *count as usize <= self.nodes().len())
         })?;
         // The front end had not received the newest when it reported its state.
-        let newest_known = front.waiting.last().map_or(0, |frame_update| frame_update.effective_from);
+        let newest_known = front.frame_updates.last().map_or(0, |frame_update| frame_update.effective_from);
         let unknown = |frame_update: &MapFrameUpdate| {
             frame_update.effective_from >= front.next_node && frame_update.effective_from > newest_known
         };
-        front.waiting.extend(frame_updates.into_iter().filter(unknown).collect::<Vec<_>>());
+        front.frame_updates.extend(frame_updates.into_iter().filter(unknown).collect::<Vec<_>>());
         Some(front)
     }
 }

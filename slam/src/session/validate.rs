@@ -194,7 +194,7 @@ fn check_back_end(back: &BackEndState) -> Result {
         check_count(ids.len(), WAITING_MAX, what)?;
         check(ids.iter().all(|id| (*id as usize) < nodes), what)?;
     }
-    check(back.unverified_edge.is_none_or(|id| (id as usize) < nodes), "unverified edge")?;
+    check(back.unverified_node.is_none_or(|id| (id as usize) < nodes), "unverified node")?;
     let detector = &back.detector;
     check_count(detector.pending.len(), WAITING_MAX, "closure candidates")?;
     detector.pending.iter().try_for_each(|candidate| check_candidate(candidate, nodes))?;
@@ -210,7 +210,7 @@ fn check_back_end(back: &BackEndState) -> Result {
     check(back.unsolved as u64 <= COUNT_MAX, "number of unsolved nodes")?;
     let c = &detector.counts;
     let counts = [c.searches, c.below_min_response, c.ambiguous, c.contradicted, c.unconfirmed, c.accepted];
-    let counts = counts.into_iter().chain([back.solutions, back.retracted, back.retired]);
+    let counts = counts.into_iter().chain([back.solutions, back.retracted, back.removed_nodes]);
     check_counters(counts)
 }
 
@@ -221,8 +221,9 @@ fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
         [agree, contradict].iter().all(|points| *points <= COMPARED_POINTS_MAX)
     };
     check(doubts.node_comparisons.iter().flatten().all(points), "number of compared points")?;
-    let is_cut_valid = doubts.cut.is_none_or(|cut| cut.before < cut.after && (cut.after as usize) < nodes);
-    check(is_cut_valid, "place where the path is wrong")?;
+    let is_break_valid =
+        doubts.suspected_break.is_none_or(|at| at.before < at.after && (at.after as usize) < nodes);
+    check(is_break_valid, "place where the path is wrong")?;
     check(doubts.cursor <= nodes, "node compared anew")?;
     check(doubts.distant_relocations <= NUMBER_MAX, "number of distant relocations")?;
     check((0.0..=UNMEASURED_S_MAX).contains(&doubts.unmeasured_s), "time without a measured motion")?;
@@ -233,14 +234,14 @@ fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
         distant_relocations,
         position_sigma_m,
         untied_share,
-        refuted_closures,
+        conflicting_closures,
     } = doubts.current;
     check((0.0..=1.0).contains(&contradicted_share), "share of contradicted points")?;
     check((0.0..=1.0).contains(&untied_share), "share of nodes that are not tied")?;
     check((0.0..=RESIDUAL_SIGMAS_MAX).contains(&odometry_residual_sigmas), "difference from odometry")?;
     check((0.0..=UNMEASURED_S_MAX).contains(&unmeasured_motion_s), "time without a measured motion")?;
     check(distant_relocations <= NUMBER_MAX, "number of distant relocations")?;
-    check(refuted_closures as usize <= nodes * nodes, "number of refuted closures")?;
+    check(conflicting_closures as usize <= nodes * nodes, "number of conflicting closures")?;
     check(
         position_sigma_m.is_finite() && position_sigma_m >= 0.0,
         "standard deviation of the position known worst",
@@ -253,8 +254,8 @@ fn check_counters(counts: impl IntoIterator<Item = u64>) -> Result {
 
 /// Checks a front end's state; its map has so many nodes.
 fn check_front_end(front: &FrontEndState, nodes: usize) -> Result {
-    let recent = [front.recent, front.local_maps[0], front.local_maps[1]];
-    let there = recent.iter().all(|count| *count as usize <= nodes.min(RECENT_MAX));
+    let referenced = [front.reference_count, front.local_maps[0], front.local_maps[1]];
+    let there = referenced.iter().all(|count| *count as usize <= nodes.min(RECENT_MAX));
     check(there, "number of nodes in the local map")?;
     check(front.next_node <= NUMBER_MAX, "number of the next node")?;
     check(front.lost_in_row <= NUMBER_MAX, "number of consecutive scans that did not fit")?;
@@ -271,8 +272,8 @@ fn check_front_end(front: &FrontEndState, nodes: usize) -> Result {
         let seconds = last.motion.map_or(0.0, |(_, seconds)| seconds);
         check((0.0..INTERVAL_S_MAX).contains(&seconds), "duration of the last motion")?;
     }
-    check_count(front.waiting.len(), WAITING_MAX, "frame updates")?;
-    check_poses(front.waiting.iter().map(|frame_update| frame_update.map_from_local), "frame update")?;
+    check_count(front.frame_updates.len(), WAITING_MAX, "frame updates")?;
+    check_poses(front.frame_updates.iter().map(|frame_update| frame_update.map_from_local), "frame update")?;
     check_count(front.odometry.len(), ODOMETRY_MAX, "odometry messages")?;
     check_poses(front.odometry.iter().map(|odometry| odometry.odom_from_base), "odometry")?;
     let sorted = front.odometry.is_sorted_by(|a, b| a.header.stamp < b.header.stamp);

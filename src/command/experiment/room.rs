@@ -28,7 +28,7 @@ pub fn compare(view: &mut FleetView, map: GridView<'_>, config: &FleetConfig) ->
     let places = starts.iter().map(|start| [start.x_m, start.y_m]);
     let errors = ObservableArea::new(room.floor_plan(PLAN_RESOLUTION_M), places).compare(map, world_from_map);
     let known = |value: f64| value.is_finite().then_some(value);
-    view.room_coverage = known(errors.coverage);
+    view.room_coverage = known(errors.room_coverage);
     view.against_room = known(errors.occupied_f1).map(|occupied_f1| AgainstRoomView {
         occupied_f1,
         map_to_room_m: errors.map_to_room_m,

@@ -242,8 +242,9 @@ impl Merged {
 
     /// Draws the merged map of every robot that has a place, redrawn where necessary.
     fn map(&self, config: &MergeConfig, robots: &mut [Robot<'_>]) -> Grid {
-        let anchors: Vec<_> = robots.iter().map(|robot| self.fleet.map_from_robot_map(robot.id)).collect();
-        let mut merger = Merger::new(config, &anchors);
+        let map_transforms: Vec<_> =
+            robots.iter().map(|robot| self.fleet.map_from_robot_map(robot.id)).collect();
+        let mut merger = Merger::new(config, &map_transforms);
         for robot in robots.iter_mut() {
             // A map that is refused is missing in the merged one, which shows.
             let _ = match self.fleet.redrawn_map(robot.id) {
@@ -311,10 +312,14 @@ fn write_trajectories(
     for robot in robots {
         let path = folder.join(format!("{}.tum", robot.id));
         let poses = robot.back.graph().poses();
-        let known = robot.front.samples().iter().filter(|ride| (ride.node as usize) < poses.len());
-        let trajectory = known.map(|ride| {
-            let in_robot_map = poses[ride.node as usize] * ride.node_from_base;
-            (ride.stamp, correction(robot, fleet, ride.node) * in_robot_map, robot.back.place_of(ride))
+        let known = robot.front.samples().iter().filter(|sample| (sample.node as usize) < poses.len());
+        let trajectory = known.map(|sample| {
+            let in_robot_map = poses[sample.node as usize] * sample.node_from_base;
+            (
+                sample.stamp,
+                map_from_robot_map_at(robot, fleet, sample.node) * in_robot_map,
+                robot.back.place_of(sample),
+            )
         });
         write_trajectory(&path, trajectory).map_err(|source| ReplayError::Write { path, source })?;
     }
@@ -322,7 +327,7 @@ fn write_trajectories(
 }
 
 /// Returns the pose of `robotK/map` in `map` at a node.
-fn correction(robot: &Robot<'_>, fleet: &FleetPoseGraph, node: u32) -> Pose2 {
+fn map_from_robot_map_at(robot: &Robot<'_>, fleet: &FleetPoseGraph, node: u32) -> Pose2 {
     let at = |id: u32| fleet.map_from_robot_map_at(robot.id, id);
     let place = robot.submaps.submap_of(node).and_then(|(id, _)| at(id));
     place.or(fleet.map_from_robot_map(robot.id)).unwrap_or(Pose2::IDENTITY)
@@ -359,14 +364,17 @@ impl FleetSummary {
                 None => "not merged".into(),
             };
             let wrong = if robot.start_contradicted { ", its given start contradicts the maps" } else { "" };
-            let bent = if robot.redrawn { ", redrawn" } else { "" };
+            let redrawn_note = if robot.redrawn { ", redrawn" } else { "" };
             let RobotSummary { slam, submaps, .. } = robot;
-            text += &format!("{}: {} scans, {submaps} submaps, {place}{bent}{wrong}\n", slam.log, slam.scans);
+            text += &format!(
+                "{}: {} scans, {submaps} submaps, {place}{redrawn_note}{wrong}\n",
+                slam.log, slam.scans
+            );
         }
         text += &edge_table(&self.edges);
         for edge in self.edges.iter().filter(|edge| edge.contradicted) {
             text += &format!(
-                "the maps of {} and {} contradict each other: one of them is bent, or lies wrong\n",
+                "the maps of {} and {} contradict each other: one of them is deformed, or lies wrong\n",
                 edge.a, edge.b
             );
         }

@@ -27,7 +27,7 @@ pub fn configuration(path: &Path) -> Result<Option<FleetConfig>, ReplayError> {
     };
     let mut config = FleetConfig::from_text(path, text)?;
     config.recording.enabled = false;
-    Ok(Some(config).filter(|config| !config.world.is_outside()))
+    Ok(Some(config).filter(|config| !config.world.is_external()))
 }
 
 fn open(path: &Path) -> Result<RecordingReader<BufReader<File>>, ReplayError> {

@@ -343,9 +343,9 @@ mod tests {
         for (robot, p50) in stats.robots.iter_mut().zip([0.1, 0.4]) {
             robot.tf_jitter_ms = Distribution { count: 9, p50, p95: 2.0 * p50, p99: 1.0, max: 2.0 };
         }
-        stats.merged.free_cells = 300;
-        stats.merged.occupied_cells = 100;
-        (stats.merged.width, stats.merged.height, stats.merged.resolution_m) = (20, 40, 0.1);
+        stats.merged_map.free_cells = 300;
+        stats.merged_map.occupied_cells = 100;
+        (stats.merged_map.width, stats.merged_map.height, stats.merged_map.resolution_m) = (20, 40, 0.1);
         let mut fleet = FleetView::new(&stats);
         (fleet.robots[0].scan_hz, fleet.robots[1].scan_hz) = (Some(10.0), Some(9.67));
         fleet.robots[1].scan_hz_last_second = 10.0;

@@ -21,7 +21,7 @@ pub fn add_system(page: &mut Page, config: &FleetConfig) {
         row("program", format!("mr-slam {}, {build}", env!("CARGO_PKG_VERSION"))),
         row("robots", config.fleet.robots.to_string()),
         row("world", config.world_name().to_owned()),
-        row("LiDAR", if config.world.is_outside() { "the robots' own".into() } else { simulated }),
+        row("LiDAR", if config.world.is_external() { "the robots' own".into() } else { simulated }),
         row("real-time priority", if real_time > 0 { real_time.to_string() } else { "none".into() }),
     ]);
     page.table(&["", "this run"], &rows);

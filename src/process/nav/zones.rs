@@ -54,7 +54,7 @@ impl<P: Ports> Zones<P> {
         let fleet = &config.fleet;
         let is_file = fleet.room != LABORATORY && Room::parse_generated(&fleet.room).is_none();
         let is_placed =
-            fleet.starts_known && !config.world.is_outside() && config.sessions.folder().is_none();
+            fleet.starts_known && !config.world.is_external() && config.sessions.folder().is_none();
         if !fleet.furniture_zones || !is_placed || !is_file {
             return Ok(());
         }

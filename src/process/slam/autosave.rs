@@ -59,7 +59,7 @@ impl Autosave {
     }
 
     /// Saves as soon as may be, because the session log goes on from there only.
-    pub fn hurry(&mut self) {
+    pub fn save_soon(&mut self) {
         self.changed = true;
         self.due = self.due.min(self.not_before);
     }
@@ -69,7 +69,7 @@ impl Autosave {
     }
 
     /// Records that the file worker had no room for the save.
-    pub fn put_off(&mut self, now: Monotonic) {
+    pub fn postpone(&mut self, now: Monotonic) {
         (self.busy, self.changed) = (false, true);
         self.due = after(now, self.every.unwrap_or_default());
         self.not_before = after(now, RETRY_PERIOD);

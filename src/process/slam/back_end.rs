@@ -250,7 +250,7 @@ impl WorkerState {
     }
 
     /// Sends a job to the file worker; returns false if its queue is full.
-    pub fn give(&self, request: Option<&SlamRequest>, path: PathBuf, work: FileOperation) -> bool {
+    pub fn submit_file_job(&self, request: Option<&SlamRequest>, path: PathBuf, work: FileOperation) -> bool {
         let request = request.map(|request| Box::new(*request));
         self.jobs.try_send(SlamFileJob { request, path, work }).is_ok()
     }
@@ -289,7 +289,7 @@ impl WorkerState {
 
     fn autosave_if_due(&mut self) {
         if self.log.needs_session() && self.back.grows_map() {
-            self.autosave.hurry();
+            self.autosave.save_soon();
         }
         if self.autosave.is_due(self.now) && !self.back.nodes().is_empty() {
             self.autosave.begin();
@@ -300,9 +300,9 @@ impl WorkerState {
     /// Starts a save on the file worker.
     pub fn save(&mut self, state: &FrontEndState) {
         let session = self.session_after_log(state);
-        if !self.give(None, self.autosave.path.clone(), FileOperation::Save(session)) {
+        if !self.submit_file_job(None, self.autosave.path.clone(), FileOperation::Save(session)) {
             self.log.finish_session(false);
-            self.autosave.put_off(self.now);
+            self.autosave.postpone(self.now);
         }
     }
 

@@ -10,7 +10,7 @@ use crate::session_file;
 use crate::sessions::{self, TOLD_SIGMA};
 use crate::storage::Storage;
 use ::slam::{BackEnd, FrontEnd, InitialPose, LocalFrameEstimate, Session, SessionIdentity, SlamConfig};
-use msg::{Grid, Pose2, SlamMode, SlamRequest, StartPose};
+use msg::{Grid, InitialPoseKind, Pose2, SlamMode, SlamRequest};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, TrySendError};
 use std::time::Duration;
@@ -163,11 +163,11 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
             InitialPose::Near(LocalFrameEstimate { map_from_local, sigma_m, sigma_rad })
         };
         let poses = &session.back.poses;
-        let start = match StartPose::from_code(request.start) {
-            Some(StartPose::Given) => at(request.pose),
-            Some(StartPose::FirstNode) => poses.first().copied().map_or(InitialPose::Unknown, at),
-            Some(StartPose::LastNode) => poses.last().copied().map_or(InitialPose::Unknown, at),
-            Some(StartPose::Unknown) | None => InitialPose::Unknown,
+        let start = match InitialPoseKind::from_code(request.initial_pose_kind) {
+            Some(InitialPoseKind::Given) => at(request.pose),
+            Some(InitialPoseKind::FirstNode) => poses.first().copied().map_or(InitialPose::Unknown, at),
+            Some(InitialPoseKind::LastNode) => poses.last().copied().map_or(InitialPose::Unknown, at),
+            Some(InitialPoseKind::Unknown) | None => InitialPose::Unknown,
         };
         let (front, back) = ::slam::begin(self.config.clone(), Some(session), mode, start);
         Ok(Loaded { front, back })

@@ -7,10 +7,10 @@ use std::path::PathBuf;
 /// Reason why a request is refused. Its text is the answer to the client.
 #[derive(Debug, thiserror::Error)]
 pub enum RequestRefused {
-    /// The queue to the scan path is full.
-    #[error("the scan path does not keep up; try again in a moment")]
-    ScanPathBusy,
-    /// Too many requests wait for the scan path's state.
+    /// The queue to the front end is full.
+    #[error("the front end does not keep up; try again in a moment")]
+    FrontEndBusy,
+    /// Too many requests wait for the front end's state.
     #[error("too many requests wait; try again in a moment")]
     TooManyRequests,
     /// The queue of the file worker is full.
@@ -35,10 +35,10 @@ pub enum RequestRefused {
     #[error("in localization the map stays as it is; set the mode to mapping first")]
     MapIsFixed,
     /// The robot has no pose in the map.
-    #[error("while the robot is looked for, the map stays as it is")]
+    #[error("while the robot is relocalizing, the map does not change")]
     Relocalizing,
     /// The closure does not exist or has no effect.
-    #[error("there is no closure {number} in force; {count} were made")]
+    #[error("closure {number} is not part of the graph; {count} were found")]
     NoClosure {
         /// Number of the closure in the request.
         number: u32,

@@ -10,8 +10,8 @@ use crate::run::Run;
 use crate::sessions::TOLD_SIGMA;
 use ::slam::{ClosureReport, FrontEndState, InitialPose, LocalFrameEstimate};
 use msg::{
-    CLOSURES_MAX, ClosureInfo, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
-    SlamResponse, StartPose, Text,
+    CLOSURES_MAX, ClosureInfo, InitialPoseKind, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest,
+    SlamRequestKind, SlamResponse, Text,
 };
 use std::path::{Component, Path, PathBuf};
 
@@ -75,7 +75,7 @@ impl<P: Ports> Services<P> {
         for _ in 0..REQUESTS_MAX {
             let Some(request) = self.requests.receive().map(|request| *request) else { return };
             let outcome = match state.commands.is_full() {
-                true => Err(RequestRefused::ScanPathBusy),
+                true => Err(RequestRefused::FrontEndBusy),
                 false => self.apply(&request, state),
             };
             self.respond(&request, outcome, state);
@@ -148,7 +148,7 @@ impl<P: Ports> Services<P> {
         };
         let grid = state.back.map().to_owned();
         let reasons = state.back.doubts().reasons().collect();
-        give(state, request, stem, FileOperation::Draw { grid, reasons })
+        submit_file_job(state, request, stem, FileOperation::Draw { grid, reasons })
     }
 
     fn load_session(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
@@ -156,11 +156,11 @@ impl<P: Ports> Services<P> {
             return Err(RequestRefused::Loading);
         }
         let mode = mode_of(request)?;
-        if StartPose::from_code(request.start) == Some(StartPose::Given) {
+        if InitialPoseKind::from_code(request.initial_pose_kind) == Some(InitialPoseKind::Given) {
             pose_of(request)?;
         }
         let path = self.session_path(request)?;
-        let given = give(state, request, path, FileOperation::Load(state.identity, mode));
+        let given = submit_file_job(state, request, path, FileOperation::Load(state.identity, mode));
         self.loading = given.is_ok();
         given
     }
@@ -179,7 +179,7 @@ impl<P: Ports> Services<P> {
         may_change(state)?;
         let count = state.back.clear_closures();
         if count == 0 {
-            return done("there was no closure in force");
+            return done("the graph has no closures");
         }
         publish_changed_graph(state);
         done(&format!("{count} removed, and not accepted again"))
@@ -192,7 +192,7 @@ impl<P: Ports> Services<P> {
             PendingRequest::LogRecord => state.write_log(front),
             PendingRequest::Save(request, path) => {
                 let session = Box::new(state.session(front));
-                let outcome = give(state, &request, path, FileOperation::Save(session));
+                let outcome = submit_file_job(state, &request, path, FileOperation::Save(session));
                 self.respond(&request, outcome, state);
             }
             PendingRequest::SetPose(request) => {
@@ -293,8 +293,13 @@ fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, Re
     Ok(path)
 }
 
-fn give(state: &WorkerState, request: &SlamRequest, path: PathBuf, work: FileOperation) -> RequestResult {
-    match state.give(Some(request), path, work) {
+fn submit_file_job(
+    state: &WorkerState,
+    request: &SlamRequest,
+    path: PathBuf,
+    work: FileOperation,
+) -> RequestResult {
+    match state.submit_file_job(Some(request), path, work) {
         true => Ok(RequestOutcome::Deferred),
         false => Err(RequestRefused::TooManyFiles),
     }

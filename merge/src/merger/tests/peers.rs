@@ -36,7 +36,7 @@ fn a_robot_is_no_obstacle_where_it_stands_and_on_its_path() {
     merger.update_map(robot(1), ghosts.view()).unwrap();
     // Along y in `map`, from (1, 0.5) on.
     let stand =
-        |merger: &mut Merger, x_m| merger.set_robot_footprint(robot(2), Pose2::new(x_m, 0.0, 0.3), RADIUS_M);
+        |merger: &mut Merger, x_m| merger.add_robot_pose(robot(2), Pose2::new(x_m, 0.0, 0.3), RADIUS_M);
     assert!(stand(&mut merger, 0.5));
     let free = |merger: &mut Merger, y| at(merger, 20, y) == SWEPT_FREE;
     assert_eq!([4, 6, 13, 15].map(|y| free(&mut merger, y)), [false, true, true, false]);
@@ -72,15 +72,15 @@ fn unknown_robots_and_implausible_footprints_change_nothing() {
     merger.update_map(robot(1), grid(Pose2::IDENTITY, RESOLUTION_M, 40, vec![60; 1600]).view()).unwrap();
     let before = merger.merged().to_owned();
     let here = Pose2::new(1.0, 1.0, 0.0);
-    assert!(!merger.set_robot_footprint(robot(2), here, RADIUS_M));
-    assert!(!merger.set_robot_footprint(robot(1), Pose2::new(f64::NAN, 0.0, 0.0), RADIUS_M));
-    assert!(!merger.set_robot_footprint(robot(1), Pose2::new(1e9, 0.0, 0.0), RADIUS_M));
+    assert!(!merger.add_robot_pose(robot(2), here, RADIUS_M));
+    assert!(!merger.add_robot_pose(robot(1), Pose2::new(f64::NAN, 0.0, 0.0), RADIUS_M));
+    assert!(!merger.add_robot_pose(robot(1), Pose2::new(1e9, 0.0, 0.0), RADIUS_M));
     for radius_m in [0.0, -1.0, f64::NAN, 1e9] {
-        assert!(!merger.set_robot_footprint(robot(1), here, radius_m));
+        assert!(!merger.add_robot_pose(robot(1), here, radius_m));
     }
     assert_eq!(merger.merged().to_owned(), before);
     // Far from everything known it draws nothing, and the merged map does not grow.
-    merger.set_robot_footprint(robot(1), Pose2::new(500.0, 0.0, 0.0), RADIUS_M);
+    merger.add_robot_pose(robot(1), Pose2::new(500.0, 0.0, 0.0), RADIUS_M);
     assert_eq!(merger.merged().to_owned(), before);
 }
 
@@ -102,8 +102,8 @@ proptest! {
         other.set_map_transform(robot(1), Some(elsewhere)).unwrap();
         for (dx, dy) in way {
             place = place * Pose2::new(dx, dy, 0.1);
-            one.set_robot_footprint(robot(1), place, RADIUS_M);
-            other.set_robot_footprint(robot(1), place, RADIUS_M);
+            one.add_robot_pose(robot(1), place, RADIUS_M);
+            other.add_robot_pose(robot(1), place, RADIUS_M);
             other.merged();
         }
         other.set_map_transform(robot(1), Some(starts[0])).unwrap();
