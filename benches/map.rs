@@ -85,7 +85,7 @@ fn node(id: usize, range_m: f32) -> Node {
         is_tracked: true,
         odometry_break: false,
         disconnected_component: None,
-        uncertain_piece: None,
+        uncertain_component: None,
         unmeasured_s: 0.0,
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),

@@ -57,7 +57,7 @@ pub struct Outcome {
     pub revisit: Errors,
     /// Of those between scans of the log.
     pub both_kept: Errors,
-    /// Of all between places that are tied to the map: what the map itself gets wrong.
+    /// Of all between poses that are placed in the map: what the map itself gets wrong.
     pub in_map: Errors,
     /// Scans that got a pose.
     pub scans: u64,
@@ -71,8 +71,8 @@ pub struct Outcome {
     pub closures: usize,
     /// Closures taken back.
     pub retracted: u64,
-    /// Nodes that are not tied to the map.
-    pub untied: usize,
+    /// Nodes that are not placed in the map.
+    pub unplaced: usize,
     /// Evidence that the map is wrong.
     pub doubts: MapDoubts,
     /// Active closures that are not true, if the truth is known.
@@ -243,7 +243,7 @@ impl Outcome {
         let (counts, done) = (front.counts(), back.counts());
         (self.scans, self.lost) = (counts.accepted, counts.lost);
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
-        (self.retracted, self.untied) = (done.retracted, done.untied);
+        (self.retracted, self.unplaced) = (done.retracted, done.unplaced);
         self.doubts = back.doubts();
     }
 
@@ -257,13 +257,13 @@ impl Outcome {
         let errors = |which| relations::errors(&estimate, odometry.as_ref(), &relations, which);
         (self.all, self.revisit) = (errors(Which::All), errors(Which::Revisits));
         self.both_kept = errors(Which::BothKept);
-        let tied = |sample: &slam::TrajectorySample| {
+        let placed = |sample: &slam::TrajectorySample| {
             let node = back.node_from_front_end(sample.node).map(|id| &back.nodes()[id as usize]);
-            node.is_some_and(|node| node.is_tied())
+            node.is_some_and(|node| node.is_placed())
         };
-        let tied: Vec<bool> = front.samples().iter().map(tied).collect();
+        let placed: Vec<bool> = front.samples().iter().map(placed).collect();
         relations
-            .retain(|relation| relation.ends(&estimate).into_iter().all(|at| tied.get(at) == Some(&true)));
+            .retain(|relation| relation.ends(&estimate).into_iter().all(|at| placed.get(at) == Some(&true)));
         self.in_map = relations::errors(&estimate, odometry.as_ref(), &relations, Which::All);
         if let Some(path) = &task.trajectory {
             let fail = |why: std::io::Error| format!("{}: {why}", path.display());

@@ -222,7 +222,7 @@ fn vary(args: &Args) -> Result<Vec<VariedLog>, Box<dyn std::error::Error>> {
         let Some(task) = task(args, row.name) else { continue };
         for (number, (label, varied)) in VARIATIONS.into_iter().enumerate() {
             let map = args.maps.as_ref().map(|maps| maps.join(format!("{}-{number:02}", row.name)));
-            // The log as it is comes first; its trajectory tells which ties of the others are wrong.
+            // The log as it is comes first; its trajectory tells which edges of the others are wrong.
             let way = Some(folder.join(format!("{}.traj", row.name)));
             let (trajectory, truth) = if number == 0 { (way, None) } else { (None, way) };
             let task = Task { varied, map, truth, trajectory, ..task.clone() };

@@ -203,7 +203,7 @@ pub fn varied(outcomes: &[crate::VariedLog]) {
         "scans",
         "lost",
         "nodes",
-        "untied",
+        "unplaced",
         "closures",
         "wrong",
         "wall s",
@@ -228,7 +228,7 @@ pub fn varied(outcomes: &[crate::VariedLog]) {
             o.scans,
             o.lost,
             o.nodes,
-            o.untied,
+            o.unplaced,
             format!("{}-{}", o.closures, o.retracted),
             format!("{}, {}", o.wrong_closures, o.wrong_links),
             o.wall_s,
@@ -236,7 +236,7 @@ pub fn varied(outcomes: &[crate::VariedLog]) {
         );
     }
     println!(
-        "in map: relations between places that are tied to the map; untied: nodes that are not; wrong: active closures and links that the log as it is contradicts"
+        "in map: relations between poses that are placed in the map; unplaced: nodes that are not; wrong: active closures and links that the log as it is contradicts"
     );
 }
 

@@ -20,7 +20,7 @@ mod retracted;
 mod state;
 #[cfg(test)]
 mod testing;
-mod uncertain_pieces;
+mod uncertain_components;
 mod undo;
 
 pub use doubts::DoubtMonitor;
@@ -126,8 +126,8 @@ pub struct BackEndCounts {
     pub localized: LocalizerCounts,
     /// Nodes removed in lifelong mode.
     pub removed_nodes: u64,
-    /// Nodes of untied components.
-    pub untied: usize,
+    /// Nodes of unplaced components.
+    pub unplaced: usize,
 }
 
 impl BackEnd {
@@ -185,7 +185,7 @@ impl BackEnd {
         self.judge_newest_position();
         // Verify an odometry edge that no scan has confirmed.
         self.check_unverified_node(id, &relative);
-        let untied = !self.newest_is_tied();
+        let unplaced = !self.newest_is_placed();
         // Search for a place seen before; between two searches, retry a node that was not found.
         if self.loop_closures.is_search_due() {
             self.search_closure(id, &relative);
@@ -197,11 +197,11 @@ impl BackEnd {
             self.solve(false);
         }
         // Search the whole map for a component that nothing connects with it.
-        if untied {
+        if unplaced {
             self.stages.stage_started(Stage::Closure);
             self.relocalize_component(id);
             self.update_components();
-            self.location.just_located = self.newest_is_tied();
+            self.location.just_located = self.newest_is_placed();
         }
     }
 
@@ -265,7 +265,7 @@ impl BackEnd {
             relocalization: self.location.relocalization_counts(),
             localized: self.location.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
             removed_nodes: self.lifelong.removed_nodes,
-            untied: self.nodes.iter().filter(|node| !node.is_tied()).count(),
+            unplaced: self.nodes.iter().filter(|node| !node.is_placed()).count(),
         }
     }
 

@@ -187,7 +187,7 @@ impl ClosureDetector {
     }
 
     /// Nearest nodes of up to [`TRIES`] earlier passes that may be here, given what is known.
-    /// Only nodes of the same component count: an untied one may be anywhere.
+    /// Only nodes of the same component count: an unplaced one may be anywhere.
     fn candidates(
         &self,
         view: &GraphView<'_>,

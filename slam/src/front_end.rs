@@ -49,11 +49,11 @@ pub struct FrontEndCounts {
     /// Scans that got a pose.
     pub accepted: u64,
     /// Scans rejected for [`ScanRejection::StampRepeated`].
-    pub stamp_repeated: u64,
+    pub rejected_stamp_repeated: u64,
     /// Scans rejected for [`ScanRejection::StampWentBack`].
-    pub stamp_went_back: u64,
+    pub rejected_stamp_went_back: u64,
     /// Clocks that were set back for good: their new time was taken over.
-    pub clock_set_back: u64,
+    pub clock_resets: u64,
     /// Scans rejected for [`ScanRejection::BeamCount`].
     pub rejected_beam_count: u64,
     /// Scans rejected for [`ScanRejection::Geometry`].
@@ -61,7 +61,7 @@ pub struct FrontEndCounts {
     /// Scans that did not fit the map, or saw too little to tell.
     pub lost: u64,
     /// Odometry messages that were no numbers or not newer than the last.
-    pub odometry_rejected: u64,
+    pub rejected_odometry: u64,
     /// Times that scans contradicted the map so clearly that the robot must be elsewhere: odometry breaks.
     pub odometry_breaks: u64,
     /// Scans that contradicted odometry so clearly that they alone determined the pose.
@@ -79,7 +79,7 @@ pub struct FrontEndCounts {
 pub struct ScanResult {
     /// Pose of the robot with its covariance; after a rejected scan the last one.
     ///
-    /// The covariance is that of the pose in the map, as seen from one node of it, the first where all are tied. While the scan does not fit, it
+    /// The covariance is that of the pose in the map, as seen from one node of it, the first where all are placed. While the scan does not fit, it
     /// grows with the path since the newest node. While the robot is not located in its map, it is that of an unknown
     /// pose (100 m, pi).
     pub correction: Correction,
@@ -202,7 +202,7 @@ impl FrontEnd {
     /// Adds one odometry message.
     pub fn add_odometry(&mut self, odometry: &Odometry) {
         self.motion.odometry.push(odometry);
-        self.counts.odometry_rejected = self.motion.odometry.rejected();
+        self.counts.rejected_odometry = self.motion.odometry.rejected();
     }
 
     /// Returns, once, whether the robot has moved in an unknown way: after a session was restored, odometry came from
@@ -312,7 +312,7 @@ impl FrontEnd {
             is_tracked,
             odometry_break: self.frame.last_break == Some(id),
             disconnected_component: None,
-            uncertain_piece: None,
+            uncertain_component: None,
             unmeasured_s: 0.0,
             cloud,
             rays: self.scan_buffers.rays(scan, beam_poses, &self.config),

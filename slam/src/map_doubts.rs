@@ -31,8 +31,8 @@ const RESIDUAL_SIGMA_M_PER_M: f64 = 0.03;
 /// A residual from here on is evidence, standard deviations. Right maps of generated logs, slipping wheels included, have at
 /// most 4.1.
 const RESIDUAL_SIGMAS_MAX: f64 = 4.5;
-/// A share of the nodes from here on that is not tied is evidence: what separates them may be in the map as well.
-const UNTIED_SHARE_MAX: f32 = 0.25;
+/// A share of the nodes from here on that is not placed is evidence: what separates them may be in the map as well.
+const UNPLACED_SHARE_MAX: f32 = 0.25;
 /// A node contradicts an older one by so many points of walls at least, 1 m of wall, and agrees with it by as many.
 const PAIR_POINTS_MIN: u32 = 20;
 /// A node agrees with an older one if no larger share is contradicted.
@@ -215,12 +215,12 @@ pub struct MapDoubts {
     /// Time in which neither odometry nor scans measured the robot's motion, since its place was known last, seconds.
     pub unmeasured_motion_s: f32,
     /// Places that were refused because they are farther away than the robot can have gone.
-    pub distant_relocations: u32,
+    pub implausible_relocalizations: u32,
     /// Standard deviation of the position in the map that is known worst, metres.
     pub position_sigma_m: f64,
-    /// Share of the nodes that are not tied to the map: nothing connects them with it, their position is uncertain, or they
+    /// Share of the nodes that are not placed in the map: nothing connects them with it, their position is uncertain, or they
     /// contradict it; 0 to 1.
-    pub untied_share: f32,
+    pub unplaced_share: f32,
     /// Closures that agree with another one and put nodes of the map more than a metre away from where they are: the map contradicts them.
     pub conflicting_closures: u32,
 }
@@ -239,7 +239,10 @@ impl MapDoubts {
                 self.odometry_residual_sigmas > RESIDUAL_SIGMAS_MAX,
                 "the path is longer or shorter than odometry says",
             ),
-            (self.untied_share > UNTIED_SHARE_MAX, "a large part of the path has no known place in the map"),
+            (
+                self.unplaced_share > UNPLACED_SHARE_MAX,
+                "a large part of the path has no known place in the map",
+            ),
             (self.conflicting_closures > 0, "places that were recognised lie elsewhere in the map"),
         ];
         reasons.into_iter().filter(|(is_strong, _)| *is_strong).map(|(_, reason)| reason)
@@ -302,7 +305,7 @@ mod tests {
         let doubts = [
             MapDoubts { contradicted_share: 0.5, ..MapDoubts::default() },
             MapDoubts { odometry_residual_sigmas: 8.0, ..MapDoubts::default() },
-            MapDoubts { untied_share: 0.4, ..MapDoubts::default() },
+            MapDoubts { unplaced_share: 0.4, ..MapDoubts::default() },
             MapDoubts { conflicting_closures: 2, ..MapDoubts::default() },
         ];
         let words: Vec<_> = doubts.iter().flat_map(MapDoubts::reasons).collect();

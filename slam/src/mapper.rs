@@ -185,7 +185,7 @@ impl OccupancyMapper {
             let moved = was.map_from_base.distance_m(*is);
             was.bounds_m != EMPTY && (moved > tolerance_m || turned * TURN_ARM_M > tolerance_m)
         };
-        // Nodes may leave the map or become part of it, when components are untied or connected.
+        // Nodes may leave the map or become part of it, when components are unplaced or connected.
         let left_map = |was: &DrawnNode, node: &Node| was.bounds_m != EMPTY && !node.in_map();
         let joined_map = |was: &DrawnNode, node: &Node| {
             was.bounds_m == EMPTY && node.in_map() && bounds_m(node, &self.config) != EMPTY

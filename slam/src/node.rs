@@ -20,19 +20,19 @@ pub struct Node {
     pub local_from_base: Pose2,
     /// Pose in the frame of the node before, by odometry; `None` if unknown.
     pub previous_from_this: Option<Pose2>,
-    /// Whether the scan fitted the local map, or saw nothing that could fit; if not, or if it saw nothing, only odometry ties it to the others.
+    /// Whether the scan fitted the local map, or saw nothing that could fit; if not, or if it saw nothing, only odometry connects it with the others.
     pub is_tracked: bool,
     /// Whether it contradicts the nodes before: the robot is not where odometry has it, and nothing
     /// connects this node with the ones before until it is located.
     pub odometry_break: bool,
-    /// First node of the node's component while that is untied from the map; `None` in the map.
+    /// First node of the node's component while that is not placed in the map; `None` in the map.
     /// Set by the back end.
     #[serde(skip)]
     pub disconnected_component: Option<u32>,
-    /// First node of the node's piece while its position in the map is too uncertain to be part of it; `None` otherwise.
+    /// First node of the node's component while its position in the map is too uncertain to be part of it; `None` otherwise.
     /// Set by the back end.
     #[serde(skip)]
-    pub uncertain_piece: Option<u32>,
+    pub uncertain_component: Option<u32>,
     /// Time since the node before in which neither odometry nor scans measured the motion, seconds.
     pub unmeasured_s: f32,
     /// Surface points, for matching.
@@ -120,7 +120,7 @@ impl<'de> Deserialize<'de> for SweptPath {
 /// Covariance of a pose in the map, and where in the map it is: seen from elsewhere, an error in heading moves it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameUncertainty {
-    /// Covariance of the pose, as seen from one node of the map, the first one where all are tied: upper triangle over (x, y, yaw), row by row.
+    /// Covariance of the pose, as seen from one node of the map, the first one where all are placed: upper triangle over (x, y, yaw), row by row.
     pub covariance: [f64; 6],
     /// Position of the pose in the map, metres.
     pub at: [f64; 2],
@@ -167,18 +167,18 @@ pub struct Rays {
 impl Node {
     /// Whether the node is part of the map: drawn, matched against, given out.
     pub fn in_map(&self) -> bool {
-        self.is_tracked && self.is_tied()
+        self.is_tracked && self.is_placed()
     }
 
     /// Whether the node's place in the map is known.
-    pub fn is_tied(&self) -> bool {
-        self.untied_piece().is_none()
+    pub fn is_placed(&self) -> bool {
+        self.unplaced_component().is_none()
     }
 
-    /// First node of the node's piece while its place in the map is not known: nothing connects it with the map, or its
+    /// First node of the node's component while its place in the map is not known: nothing connects it with the map, or its
     /// position is too uncertain.
-    pub fn untied_piece(&self) -> Option<u32> {
-        self.disconnected_component.or(self.uncertain_piece)
+    pub fn unplaced_component(&self) -> Option<u32> {
+        self.disconnected_component.or(self.uncertain_component)
     }
 
     /// A copy with memory of its own, for code that keeps nodes; it releases the front end's buffers.

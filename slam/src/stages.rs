@@ -11,7 +11,7 @@ pub enum Stage {
     Align,
     /// Front end: the scan becomes a node, the local maps grow.
     Node,
-    /// Back end: a node is tied to others that see the same surfaces.
+    /// Back end: a node is linked to others that see the same surfaces.
     Link,
     /// Back end: loop closures are searched for.
     Closure,

@@ -53,7 +53,7 @@ struct Group {
     /// Poses of the nodes in the first one's frame, as published; empty before.
     given: Vec<Pose2>,
     given_finished: bool,
-    given_tied: bool,
+    given_placed: bool,
 }
 
 impl Submaps {
@@ -120,7 +120,7 @@ impl Submaps {
                     finished: false,
                     given: Vec::new(),
                     given_finished: false,
-                    given_tied: false,
+                    given_placed: false,
                 });
                 self.path_m = 0.0;
             }
@@ -171,7 +171,7 @@ impl Submaps {
         let range = group.first as usize..(group.first + group.nodes) as usize;
         group.given = relative(&poses[range.clone()]);
         group.given_finished = group.finished;
-        group.given_tied = is_tied(group, back);
+        group.given_placed = is_placed(group, back);
         // The mapper keeps the newest submap, which grows; older ones rarely change and are drawn from nothing.
         if fresh || id != newest {
             self.mapper = OccupancyMapper::new(self.map.clone());
@@ -189,11 +189,11 @@ impl Submaps {
     /// Whether a submap must be published again.
     fn is_due(&self, group: &Group, back: &BackEnd) -> bool {
         let (given, poses) = (group.given.len(), back.graph().poses());
-        if is_tied(group, back) != group.given_tied {
+        if is_placed(group, back) != group.given_placed {
             return true;
         }
-        if !group.given_tied {
-            // Nothing of an untied submap is published.
+        if !group.given_placed {
+            // Nothing of an unplaced submap is published.
             return false;
         }
         if given == 0 || group.nodes >= given as u32 + GROWN_NODES || group.finished != group.given_finished {
@@ -270,10 +270,10 @@ impl Submaps {
     }
 }
 
-/// Whether a submap is part of the map, as its first node is: all its nodes are in one component, and a piece whose position is
+/// Whether a submap is part of the map, as its first node is: all its nodes are in one component, and a component whose position is
 /// uncertain begins within one submap.
-fn is_tied(group: &Group, back: &BackEnd) -> bool {
-    back.nodes().get(group.first as usize).is_some_and(|node| node.is_tied())
+fn is_placed(group: &Group, back: &BackEnd) -> bool {
+    back.nodes().get(group.first as usize).is_some_and(|node| node.is_placed())
 }
 
 /// Poses in the frame of the first one.

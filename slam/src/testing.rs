@@ -20,7 +20,7 @@ pub fn standing_node(id: u32, scan: &Scan, local_from_base: Pose2, lidar: &Lidar
         is_tracked: true,
         odometry_break: false,
         disconnected_component: None,
-        uncertain_piece: None,
+        uncertain_component: None,
         unmeasured_s: 0.0,
         cloud: Arc::new(cloud),
         rays: Arc::new(Rays::default()),

@@ -61,7 +61,7 @@ fn a_corridor_without_odometry_is_in_the_map_only_where_its_place_is_known() {
     let (error_m, known) = known_error_m(&slam, &said);
     assert!(error_m < 1.0 && known > 20 && known < 260, "{error_m} m, {known} scans");
     let doubts = slam.back().doubts();
-    assert!(doubts.untied_share > 0.5 && doubts.is_unreliable(), "{doubts:?}");
+    assert!(doubts.unplaced_share > 0.5 && doubts.is_unreliable(), "{doubts:?}");
     // A session keeps them: who loads it is told.
     let back = slam.back();
     let identity = SessionIdentity::new(1, 0, back.config());
@@ -70,7 +70,7 @@ fn a_corridor_without_odometry_is_in_the_map_only_where_its_place_is_known() {
     let (_, loaded) =
         slam::begin(back.config().clone(), Some(session), SlamMode::Mapping, InitialPose::Unknown);
     assert_eq!(loaded.doubts(), doubts);
-    assert_eq!(loaded.untied_piece_count(), back.untied_piece_count());
+    assert_eq!(loaded.unplaced_component_count(), back.unplaced_component_count());
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn odometry_that_comes_back_in_a_corridor_is_used_again() {
     let (slam, said) = drive(|scan| !(200..220).contains(&scan));
     let (error_m, known) = known_error_m(&slam, &said);
     assert!(error_m < 0.5 && known > 200 && known < said.len(), "{error_m} m, {known} scans");
-    // The rest is a piece of its own, as long as it should be.
+    // The rest is a component of its own, as long as it should be.
     let poses: Vec<Pose2> = slam.trajectory().map(|(_, pose)| pose).collect();
     let (driven_m, true_m) = (poses[225].distance_m(poses[515]), said[225].1.distance_m(said[515].1));
     assert!((driven_m - true_m).abs() < 0.5, "{driven_m} m of {true_m} m");

@@ -19,7 +19,7 @@ fn stamps_that_repeat_or_go_back_are_refused_and_counted() {
     assert_eq!(slam.process(&scan_at(4.0)).rejected, Some(ScanRejection::StampWentBack));
     assert_eq!(slam.process(&scan_at(6.0)).rejected, None);
     let counts = slam.counts();
-    assert_eq!((counts.accepted, counts.stamp_repeated, counts.stamp_went_back), (2, 1, 1));
+    assert_eq!((counts.accepted, counts.rejected_stamp_repeated, counts.rejected_stamp_went_back), (2, 1, 1));
     slam.finish();
     assert_eq!(slam.trajectory().count(), 2);
 }

@@ -117,7 +117,7 @@ fn a_robot_carried_off_within_its_map_is_lost_draws_nothing_and_is_found() {
         assert_eq!(drive.wrong(world_from_map, 0.2), 0, "it said to know where it was, and was wrong");
         let last = drive.said[drive.said.len() - 1];
         assert_ne!(last.0, TrackingState::Lost, "not found: {:?}", drive.slam.back_counts());
-        assert_eq!(drive.slam.back_counts().untied, 0);
+        assert_eq!(drive.slam.back_counts().unplaced, 0);
         // What it saw before it was found is in its place now, and so are all poses.
         let (ghosts, occupied) = drive.ghosts(world_from_map);
         assert!(ghosts == 0 && occupied > 500, "{ghosts} of {occupied} cells are no walls");
@@ -151,15 +151,15 @@ fn a_robot_carried_to_another_room_stays_lost_until_it_knows_that_one_better() {
     let world_from_map = drive.said[0].2;
     assert!(drive.said[carried..].iter().all(|(state, ..)| *state == TrackingState::Lost));
     let counts = drive.slam.back_counts();
-    assert!(counts.untied > 15 && counts.untied < nodes, "{counts:?}");
+    assert!(counts.unplaced > 15 && counts.unplaced < nodes, "{counts:?}");
     let (ghosts, occupied) = drive.ghosts(world_from_map);
     assert!(ghosts == 0 && occupied > 500, "{ghosts} of {occupied} cells are no walls");
-    // The larger piece is the map in the end: the other one is held back then.
+    // The larger component is the map in the end: the other one is held back then.
     for _ in 0..4 {
         drive.drive(&wander());
     }
     let counts = drive.slam.back_counts();
-    assert_eq!(counts.untied, nodes, "{counts:?}");
+    assert_eq!(counts.unplaced, nodes, "{counts:?}");
     let (state, said, truth) = drive.said[drive.said.len() - 1];
     assert_eq!(state, TrackingState::Tracking);
     let world_from_map = truth * said.inverse();
@@ -295,7 +295,7 @@ fn a_clock_set_back_for_good_is_believed_after_a_few_scans() {
     let jumped = drive.said.len();
     drive.drive(&[(0.15, 0.0, 4.0), (0.0, 0.5, 6.0)]);
     let counts = drive.slam.counts();
-    assert_eq!((counts.stamp_went_back, counts.clock_set_back), (4, 1), "{counts:?}");
+    assert_eq!((counts.rejected_stamp_went_back, counts.clock_resets), (4, 1), "{counts:?}");
     assert_eq!(counts.accepted as usize, drive.said.len() - 4);
     let world_from_map = drive.said[0].2;
     assert_eq!(drive.wrong(world_from_map, 0.1), 0);
@@ -303,7 +303,7 @@ fn a_clock_set_back_for_good_is_believed_after_a_few_scans() {
     // And once more forward, which is nothing unusual.
     drive.robot.time_s += 7200.0;
     drive.drive(&[(0.15, 0.0, 4.0)]);
-    assert_eq!(drive.slam.counts().clock_set_back, 1);
+    assert_eq!(drive.slam.counts().clock_resets, 1);
     assert_eq!(drive.wrong(world_from_map, 0.1), 0);
 }
 
@@ -319,7 +319,10 @@ fn single_jumps_stalls_and_scans_out_of_order_are_refused() {
         assert!(drive.slam.process(&scan).rejected.is_some(), "{back_s} s back");
     }
     let counts = drive.slam.counts();
-    assert_eq!((counts.stamp_repeated, counts.stamp_went_back, counts.clock_set_back), (6, 8, 0));
+    assert_eq!(
+        (counts.rejected_stamp_repeated, counts.rejected_stamp_went_back, counts.clock_resets),
+        (6, 8, 0)
+    );
     drive.drive(&[(0.15, 0.0, 2.0)]);
     assert_eq!(drive.slam.counts().accepted, 40);
 }

@@ -149,7 +149,7 @@ def check_all(program, folder, check, raw_messages, wait_for, readers):
     summary, why = replay_foreign(program, folder, "--scan-topic", SCAN_TOPIC, "--odom-topic", ODOMETRY_TOPIC)
     check("a bag of rosbags with names of its own is replayed", summary is not None, why)
     if summary:
-        check("with every scan, in one piece", summary["scans"] == int(LENGTH_S * RATE_HZ) and not summary["untied_nodes"])
+        check("with every scan, in one piece", summary["scans"] == int(LENGTH_S * RATE_HZ) and not summary["unplaced_nodes"])
         width, height = known_area(folder / "elsewhere_map.yaml")
         longer, shorter = max(width, height), min(width, height)
         check("its map has the room's size", abs(longer - 8.0) < 0.5 and abs(shorter - 6.0) < 0.5, f"{longer:.2f} x {shorter:.2f} m")

@@ -72,7 +72,7 @@ pub fn print(outcomes: &[Outcome]) {
         "silent",
         "alarms",
         "mean m",
-        "tied %",
+        "placed %",
         "walls %",
         "right",
         "wrong",
@@ -112,8 +112,8 @@ pub fn print(outcomes: &[Outcome]) {
 
 fn print_worst(outcomes: &[Outcome]) {
     println!(
-        "wrong: runs with a pose of the map more than {METRE_SCALE_M} m off (what SLAM says is not tied to its map does not count: \
-         tied %); silent: those in which it is more than three standard deviations off by its covariance and SLAM does not call \
+        "wrong: runs with a pose of the map more than {METRE_SCALE_M} m off (what SLAM says is not placed in its map does not count: \
+         placed %); silent: those in which it is more than three standard deviations off by its covariance and SLAM does not call \
          its map unreliable. alarms: runs \
          without such a pose whose map is called unreliable. walls: share of the walls hit that the map has. Then active closures and closures taken back, \
          right and wrong ones. NEES over its degrees of freedom (1 is right) of the pose given out, links and closures: medians."
@@ -132,7 +132,7 @@ fn print_worst(outcomes: &[Outcome]) {
                 "10 Hz".into()
             },
             outcome.max_error_m,
-            outcome.max_error_tied_m,
+            outcome.max_error_placed_m,
             outcome.max_error_unsaid_m,
         );
     }
@@ -145,7 +145,7 @@ struct Summary {
     silent: usize,
     false_alarms: usize,
     mean_m: f64,
-    tied_percent: f64,
+    placed_percent: f64,
     walls_percent: f64,
     closures: [usize; 2],
     retracted: [usize; 2],
@@ -165,7 +165,7 @@ impl Summary {
             silent: group.iter().filter(|o| o.is_silent()).count(),
             false_alarms: group.iter().filter(|o| o.is_false_alarm()).count(),
             mean_m: mean(|o| o.mean_error_m),
-            tied_percent: 100.0 * mean(|o| o.tied_share),
+            placed_percent: 100.0 * mean(|o| o.placed_share),
             walls_percent: 100.0 * mean(|o| o.walls_share),
             closures: sum(|o| o.closures),
             retracted: sum(|o| o.retracted),
@@ -185,7 +185,7 @@ impl Summary {
             self.silent,
             self.false_alarms,
             self.mean_m,
-            self.tied_percent,
+            self.placed_percent,
             self.walls_percent
         )
     }

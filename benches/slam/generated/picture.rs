@@ -10,9 +10,9 @@ use std::path::Path;
 const WALL: Rgb = [240, 150, 20];
 /// The true path.
 const TRUTH: Rgb = [30, 160, 70];
-/// Poses that are tied to the map, and those that are not.
-const TIED: Rgb = [40, 120, 220];
-const UNTIED: Rgb = [150, 70, 190];
+/// Poses that are placed in the map, and those that are not.
+const PLACED: Rgb = [40, 120, 220];
+const UNPLACED: Rgb = [150, 70, 190];
 /// Active closures: right ones, wrong ones.
 const RIGHT: Rgb = [0, 170, 180];
 const WRONG: Rgb = [230, 60, 50];
@@ -33,7 +33,7 @@ pub fn write(
     }
     picture.path(scored.poses.iter().map(|pose| place(map_from_world * pose.truth)), TRUTH);
     for pair in scored.poses.windows(2) {
-        let colour = if pair[1].is_tied { TIED } else { UNTIED };
+        let colour = if pair[1].is_placed { PLACED } else { UNPLACED };
         picture.path(pair.iter().map(|pose| place(pose.map_from_base)), colour);
     }
     for (ends, is_wrong) in &scored.closures {

@@ -77,12 +77,12 @@ pub struct Outcome {
     pub mean_error_m: f64,
     /// The largest.
     pub max_error_m: f64,
-    /// The largest of the poses that SLAM said are tied to the map, metres.
-    pub max_error_tied_m: f64,
+    /// The largest of the poses that SLAM said are placed in the map, metres.
+    pub max_error_placed_m: f64,
     /// The largest of those that are more than [`SAID_SIGMAS`] standard deviations off, by their covariance in the map.
     pub max_error_unsaid_m: f64,
-    /// Share of the scans whose node is tied to the map.
-    pub tied_share: f64,
+    /// Share of the scans whose node is placed in the map.
+    pub placed_share: f64,
     /// Whether SLAM was lost at the end.
     pub lost_at_end: bool,
     /// Evidence that the map is wrong, as SLAM has it at the end.
@@ -106,7 +106,7 @@ pub struct Outcome {
 impl Outcome {
     /// Whether a pose that SLAM calls part of its map is wrong by a metre.
     pub fn is_wrong(&self) -> bool {
-        self.max_error_tied_m > METRE_SCALE_M
+        self.max_error_placed_m > METRE_SCALE_M
     }
 
     /// Whether a pose is wrong by a metre although SLAM calls it part of its map, its covariance in the map says otherwise,
@@ -151,7 +151,7 @@ pub fn run(case: &Case, map: Option<&Path>) -> Result<Outcome, String> {
     Ok(outcome)
 }
 
-/// A pose of the final trajectory, where the robot truly was, and whether the pose's node is tied to the map.
+/// A pose of the final trajectory, where the robot truly was, and whether the pose's node is placed in the map.
 #[derive(Clone, Copy)]
 pub struct ScoredPose {
     /// Pose in the map.
@@ -159,14 +159,14 @@ pub struct ScoredPose {
     /// The true pose.
     pub truth: Pose2,
     /// Whether SLAM calls it part of its map.
-    pub is_tied: bool,
+    pub is_placed: bool,
     /// Standard deviation of the position of the pose's node in the map, metres.
     pub sigma_m: f64,
 }
 
 /// A final trajectory against the truth.
 pub struct Scored {
-    /// The truth's frame from the map's, where the poses that are tied fit best.
+    /// The truth's frame from the map's, where the placed poses fit best.
     pub world_from_map: Pose2,
     /// All poses in order.
     pub poses: Vec<ScoredPose>,
@@ -223,33 +223,33 @@ impl Outcome {
             .trajectory_with_places(front.samples())
             .zip(front.samples())
             .filter_map(|((stamp, map_from_base, place), sample)| {
-                let is_tied = place == PlaceInMap::Known;
+                let is_placed = place == PlaceInMap::Known;
                 Some(ScoredPose {
                     map_from_base,
                     truth: truth_at(stamp)?,
-                    is_tied,
+                    is_placed,
                     sigma_m: sigma_m(sample.node),
                 })
             })
             .collect();
-        // The map is put where the poses that are tied to it fit best.
-        let tied_poses: Vec<_> = poses.iter().filter(|pose| pose.is_tied).copied().collect();
-        let world_from_map = fit(if tied_poses.is_empty() { &poses } else { &tied_poses });
+        // The map is put where the poses that are placed in it fit best.
+        let placed_poses: Vec<_> = poses.iter().filter(|pose| pose.is_placed).copied().collect();
+        let world_from_map = fit(if placed_poses.is_empty() { &poses } else { &placed_poses });
         let errors = |poses: &[ScoredPose]| -> Vec<f64> {
             poses.iter().map(|pose| (world_from_map * pose.map_from_base).distance_m(pose.truth)).collect()
         };
-        let (all, of_tied) = (errors(&poses), errors(&tied_poses));
+        let (all, of_placed) = (errors(&poses), errors(&placed_poses));
         self.mean_error_m = all.iter().sum::<f64>() / all.len().max(1) as f64;
         self.max_error_m = all.iter().copied().fold(0.0, f64::max);
-        self.max_error_tied_m = of_tied.iter().copied().fold(0.0, f64::max);
+        self.max_error_placed_m = of_placed.iter().copied().fold(0.0, f64::max);
         // What the covariances say is seen from one node of the map.
         let map_from_world = map_from_world(back, steps).unwrap_or(world_from_map.inverse());
         let unsaid_m = |pose: &ScoredPose| {
             let error_m = (map_from_world * pose.truth).distance_m(pose.map_from_base);
             if error_m > SAID_SIGMAS * pose.sigma_m { error_m } else { 0.0 }
         };
-        self.max_error_unsaid_m = tied_poses.iter().map(unsaid_m).fold(0.0, f64::max);
-        self.tied_share = tied_poses.len() as f64 / steps.len().max(1) as f64;
+        self.max_error_unsaid_m = placed_poses.iter().map(unsaid_m).fold(0.0, f64::max);
+        self.placed_share = placed_poses.len() as f64 / steps.len().max(1) as f64;
         let closures = self.score_edges(back, &truth_at);
         Scored { world_from_map, poses, closures }
     }

@@ -4,7 +4,7 @@
 //! At a node that contradicts those before it, odometry's edge becomes an odometry break: it keeps the order of
 //! the nodes and measures nothing. The component after it is neither drawn nor given out, and the robot
 //! reads as lost, until a closure or a search of the whole map connects it. If that closure is taken
-//! back, the component is untied again.
+//! back, the component is unplaced again.
 //!
 //! The map is the largest component, so a robot that never returns ends up with a new map.
 
@@ -117,15 +117,15 @@ impl BackEnd {
         self.location.component_relocalizer = None;
     }
 
-    /// Number of pieces that are not tied to the map.
-    pub fn untied_piece_count(&self) -> usize {
-        // A piece is named by its first node.
-        self.nodes.iter().filter(|node| node.untied_piece() == Some(node.id)).count()
+    /// Number of components that are not placed in the map.
+    pub fn unplaced_component_count(&self) -> usize {
+        // A component is named by its first node.
+        self.nodes.iter().filter(|node| node.unplaced_component() == Some(node.id)).count()
     }
 
     /// Whether the newest node is part of the map.
-    pub(super) fn newest_is_tied(&self) -> bool {
-        self.nodes.last().is_none_or(Node::is_tied)
+    pub(super) fn newest_is_placed(&self) -> bool {
+        self.nodes.last().is_none_or(Node::is_placed)
     }
 
     /// Updates which node is in which component, from the active edges.
@@ -177,7 +177,7 @@ impl BackEnd {
         let map_from_node = map_from_local * local_from_node;
         let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
         if self.is_beyond_reach(id, map_from_node) {
-            self.doubts.distant_relocations += 1;
+            self.doubts.implausible_relocalizations += 1;
             return;
         }
         self.add_closures(&[ClosureCandidate {
@@ -192,7 +192,9 @@ impl BackEnd {
     /// Whether the robot, last in the map before node `id`, cannot have gone to where that node was found. Carried, it has no
     /// heading that is known; where only the motion was not measured, it is not far from where the front end has it.
     fn is_beyond_reach(&self, id: u32, map_from_node: Pose2) -> bool {
-        let Some(last) = self.nodes[..id as usize].iter().rfind(|node| node.is_tied()) else { return false };
+        let Some(last) = self.nodes[..id as usize].iter().rfind(|node| node.is_placed()) else {
+            return false;
+        };
         let since = &self.nodes[last.id as usize + 1..=id as usize];
         let node = &self.nodes[id as usize];
         let map_from_last = self.graph.poses()[last.id as usize];

@@ -31,7 +31,7 @@ pub struct DoubtMonitor {
     /// The newest node that was compared anew.
     pub cursor: usize,
     /// Places that were refused because they are farther away than the robot can have gone.
-    pub distant_relocations: u32,
+    pub implausible_relocalizations: u32,
     /// Time in which nothing measured the motion, since its place was known last, seconds.
     pub unmeasured_s: f32,
     /// Where the path is wrong, by what its nodes contradict.
@@ -96,24 +96,24 @@ impl BackEnd {
             self.doubts.suspected_break = found;
             self.update_covariances();
         }
-        let untied = self.nodes.iter().filter(|node| !node.is_tied()).count();
+        let unplaced = self.nodes.iter().filter(|node| !node.is_placed()).count();
         self.doubts.current = MapDoubts {
             contradicted_share: contradicted_share(&self.walls_in_map()),
             odometry_residual_sigmas: odometry_residual_sigmas(&self.odometry_steps()),
             unmeasured_motion_s: self.doubts.unmeasured_s,
-            distant_relocations: self.doubts.distant_relocations,
+            implausible_relocalizations: self.doubts.implausible_relocalizations,
             position_sigma_m: self.largest_position_sigma_m(),
-            untied_share: untied as f32 / self.nodes.len().max(1) as f32,
+            unplaced_share: unplaced as f32 / self.nodes.len().max(1) as f32,
             conflicting_closures: self.count_conflicting_closures(),
         };
     }
 
     /// How the nodes of the map agree with others of the map.
     fn walls_in_map(&self) -> Vec<Option<WallAgreement>> {
-        let is_tied = |id: u32| self.nodes.get(id as usize).is_some_and(Node::is_tied);
+        let is_placed = |id: u32| self.nodes.get(id as usize).is_some_and(Node::is_placed);
         let in_map = |(id, comparison): (usize, &Option<NodeComparison>)| {
             let comparison =
-                comparison.filter(|it| is_tied(id as u32) && it.contradicts.is_none_or(is_tied))?;
+                comparison.filter(|it| is_placed(id as u32) && it.contradicts.is_none_or(is_placed))?;
             Some(comparison.walls)
         };
         self.doubts.node_comparisons.iter().enumerate().map(in_map).collect()
@@ -121,15 +121,15 @@ impl BackEnd {
 
     /// Standard deviation of the map's position that is known worst, as seen from one node of the map, metres.
     fn largest_position_sigma_m(&self) -> f64 {
-        let in_map = self.nodes.iter().filter(|node| node.is_tied());
+        let in_map = self.nodes.iter().filter(|node| node.is_placed());
         in_map.map(|node| self.graph.position_variance_m2(node.id)).fold(0.0, f64::max).sqrt()
     }
 
     /// Compares a node with older ones of other passes that look at the same place.
     fn compare_with_older(&self, id: u32) -> Option<NodeComparison> {
         let node = &self.nodes[id as usize];
-        let is_placed = |node: &Node| node.is_tracked && node.disconnected_component.is_none();
-        if !is_placed(node) {
+        let is_comparable = |node: &Node| node.is_tracked && node.disconnected_component.is_none();
+        if !is_comparable(node) {
             return None;
         }
         let poses = self.graph.poses();
@@ -139,7 +139,7 @@ impl BackEnd {
         let others = &self.nodes[..id.saturating_sub(SAME_PASS_NODES) as usize];
         let mut near: Vec<(f64, u32)> = others
             .iter()
-            .filter(|other| is_placed(other))
+            .filter(|other| is_comparable(other))
             .filter_map(|other| {
                 let [u, v] = looks_at(other);
                 let apart_m = (u - x).hypot(v - y);
@@ -173,7 +173,7 @@ impl BackEnd {
         let poses = self.graph.poses();
         let step = |pair: &[Node]| {
             let [before, node] = pair else { return None };
-            let is_in_map = before.is_tied() && node.is_tied();
+            let is_in_map = before.is_placed() && node.is_placed();
             let by_odometry = node.previous_from_this.filter(|_| is_in_map && !node.odometry_break)?;
             let [a, b] = [before.id, node.id].map(|id| poses[id as usize]);
             let there = a * by_odometry;

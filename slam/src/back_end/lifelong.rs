@@ -45,7 +45,9 @@ impl BackEnd {
 
     /// Removes what later nodes contradict or repeat; called after each node in lifelong mode.
     pub(super) fn remove_outdated_nodes(&mut self) {
-        let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_is_tied()) else { return };
+        let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_is_placed()) else {
+            return;
+        };
         self.count_contradictions(newest);
         self.mark_repeated_views(newest);
         let full = self.nodes.len() >= self.config.lifelong.nodes_max.min(self.config.graph.nodes_max);

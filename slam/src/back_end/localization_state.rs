@@ -12,7 +12,7 @@ pub(super) struct LocalizationState {
     pub localizer: Option<Localizer>,
     /// While the robot is not located: searches the whole map.
     pub relocalizer: Option<Relocalizer>,
-    /// While the newest node's component is untied: searches the whole map for it.
+    /// While the newest node's component is unplaced: searches the whole map for it.
     pub component_relocalizer: Option<Relocalizer>,
     /// Counts of searches, while no relocalizer is at work.
     pub relocalization: RelocalizationCounts,

@@ -35,9 +35,9 @@ pub enum InitialPose {
 pub enum PlaceInMap {
     /// It is known.
     Known,
-    /// The piece of the map that begins with this node is not tied to the rest: the pose is in a frame whose relation to the
+    /// The component that begins with this node is not placed in the map: the pose is in a frame whose relation to the
     /// map's is unknown.
-    Untied(u32),
+    Unplaced(u32),
     /// The scan fitted nothing: the pose is a guess.
     Lost,
 }
@@ -117,7 +117,7 @@ impl BackEnd {
                 Some(LocalFrameEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD });
         }
         self.location.localizer = is_fixed.then(|| Localizer::new(self.config.clone()));
-        if is_fixed && self.location.relocalizer.is_none() && !self.newest_is_tied() {
+        if is_fixed && self.location.relocalizer.is_none() && !self.newest_is_placed() {
             self.start_relocalization(None);
         }
     }
@@ -137,7 +137,7 @@ impl BackEnd {
     /// Whether it is known where the robot is.
     pub fn is_located(&self) -> bool {
         let is_located =
-            self.location.localizer.as_ref().map_or(self.newest_is_tied(), Localizer::is_located);
+            self.location.localizer.as_ref().map_or(self.newest_is_placed(), Localizer::is_located);
         self.location
             .relocalizer
             .as_ref()
@@ -149,7 +149,7 @@ impl BackEnd {
         match (&self.location.relocalizer, &self.location.localizer) {
             (Some(_), _) => None,
             (None, Some(localizer)) => Some(localizer.newest()?.0),
-            (None, None) => self.graph.poses().last().copied().filter(|_| self.newest_is_tied()),
+            (None, None) => self.graph.poses().last().copied().filter(|_| self.newest_is_placed()),
         }
     }
 
@@ -287,10 +287,10 @@ impl BackEnd {
 
     /// What is known of a scan's place, `sample.node` being the back end's number.
     pub fn place_of(&self, sample: &TrajectorySample) -> PlaceInMap {
-        let piece = self.nodes.get(sample.node as usize).map(Node::untied_piece);
-        match piece {
+        let component = self.nodes.get(sample.node as usize).map(Node::unplaced_component);
+        match component {
             _ if sample.is_lost => PlaceInMap::Lost,
-            Some(Some(first_node)) => PlaceInMap::Untied(first_node),
+            Some(Some(first_node)) => PlaceInMap::Unplaced(first_node),
             _ => PlaceInMap::Known,
         }
     }

@@ -75,7 +75,7 @@ impl BackEnd {
     }
 
     /// Breaks the path where many removed closures agree that it is wrong, and activates these: the robot was carried there, and
-    /// saw nothing that contradicted it. The nodes around the break stay untied, as the place is not known better.
+    /// saw nothing that contradicted it. The nodes around the break stay unplaced, as the place is not known better.
     pub(super) fn break_path_at_conflicting_closures(&mut self) {
         let conflicting = self.conflicting_closures();
         let Some(newest) = conflicting.first().copied().filter(|_| conflicting.len() >= BREAKING_MIN) else {
@@ -218,9 +218,9 @@ mod tests {
         assert_eq!((back.counts().closures, back.counts().retracted), (6, 0));
         let end_m = back.graph.poses()[60].x_m - back.graph.poses()[0].x_m;
         assert!((end_m - 14.7).abs() < 0.05, "{end_m}");
-        let is_tied = |id: usize| back.nodes[id].is_tied();
-        assert!((0..=41).chain(60..70).all(is_tied), "both sides are one map");
-        assert!(!(42..60).any(is_tied), "what lies between has no known place");
+        let is_placed = |id: usize| back.nodes[id].is_placed();
+        assert!((0..=41).chain(60..70).all(is_placed), "both sides are one map");
+        assert!(!(42..60).any(is_placed), "what lies between has no known place");
         // Nothing is left to break.
         let edges = back.graph.edges().len();
         back.break_path_at_conflicting_closures();

@@ -69,7 +69,7 @@ impl FrontEnd {
             return None;
         }
         let Some(begins) = self.clock_reset.observe(stamp) else { return Some(ScanRejection::StampWentBack) };
-        self.counts.clock_set_back += 1;
+        self.counts.clock_resets += 1;
         self.motion.reset_clock(begins);
         None
     }
@@ -77,8 +77,8 @@ impl FrontEnd {
     /// The answer to a scan that is not used: the last pose.
     pub(super) fn reject(&mut self, scan: &Scan, rejection: ScanRejection) -> ScanResult {
         *match rejection {
-            ScanRejection::StampRepeated => &mut self.counts.stamp_repeated,
-            ScanRejection::StampWentBack => &mut self.counts.stamp_went_back,
+            ScanRejection::StampRepeated => &mut self.counts.rejected_stamp_repeated,
+            ScanRejection::StampWentBack => &mut self.counts.rejected_stamp_went_back,
             ScanRejection::BeamCount => &mut self.counts.rejected_beam_count,
             ScanRejection::Geometry => &mut self.counts.rejected_geometry,
         } += 1;

@@ -50,7 +50,7 @@ pub struct FrontEndState {
     /// Pose of the odometry frame in the continuous frame, which does not jump when the writer restarts.
     pub continuous_from_odom: Pose2,
     /// Number of odometry messages rejected.
-    pub odometry_rejected: u64,
+    pub rejected_odometry: u64,
     /// Positions of the robot since the newest node, in the front end's frame.
     pub swept_path: SweptPath,
 }
@@ -66,7 +66,7 @@ impl FrontEnd {
                 front.config.odometry.clone(),
                 &state.odometry,
                 state.continuous_from_odom,
-                state.odometry_rejected,
+                state.rejected_odometry,
             ),
             last: state.last,
             node_continuous_from_base: state.node_continuous_from_base,
@@ -96,7 +96,7 @@ impl FrontEnd {
 
     /// The state to be kept in a session. Copies the odometry buffer.
     pub fn state(&self) -> FrontEndState {
-        let (odometry, continuous_from_odom, odometry_rejected) = self.motion.odometry.parts();
+        let (odometry, continuous_from_odom, rejected_odometry) = self.motion.odometry.parts();
         FrontEndState {
             next_node: self.node_builder.next_node,
             reference_count: self.matcher.references.len() as u32,
@@ -115,7 +115,7 @@ impl FrontEnd {
             frame_updates: self.frame.frame_updates.iter().copied().collect(),
             odometry,
             continuous_from_odom,
-            odometry_rejected,
+            rejected_odometry,
             swept_path: self.node_builder.swept_path,
         }
     }

@@ -22,7 +22,7 @@ struct EdgeNoiseModel {
     drift: [f64; 2],
     /// Variance of links and closures as a multiple of what they claim.
     variance_factor: f64,
-    /// Errors of odometry that repeat, metres and radians per metre: where it alone ties nodes, they grow with the way and not with
+    /// Errors of odometry that repeat, metres and radians per metre: where it alone connects nodes, they grow with the way and not with
     /// its root.
     systematic: [f64; 2],
 }

@@ -22,7 +22,7 @@ fn node(id: u32, range_m: f32, beams: usize, is_tracked: bool) -> Node {
     Node {
         odometry_break: false,
         disconnected_component: None,
-        uncertain_piece: None,
+        uncertain_component: None,
         id,
         header,
         local_from_base: Pose2::IDENTITY,

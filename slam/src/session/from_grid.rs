@@ -49,7 +49,7 @@ impl Session {
             back.nodes.push(Node {
                 odometry_break: false,
                 disconnected_component: None,
-                uncertain_piece: None,
+                uncertain_component: None,
                 id: id as u32,
                 header: Header::default(),
                 local_from_base: map_from_base,

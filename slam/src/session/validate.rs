@@ -225,22 +225,22 @@ fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
         doubts.suspected_break.is_none_or(|at| at.before < at.after && (at.after as usize) < nodes);
     check(is_break_valid, "place where the path is wrong")?;
     check(doubts.cursor <= nodes, "node compared anew")?;
-    check(doubts.distant_relocations <= NUMBER_MAX, "number of distant relocations")?;
+    check(doubts.implausible_relocalizations <= NUMBER_MAX, "number of implausible relocalizations")?;
     check((0.0..=UNMEASURED_S_MAX).contains(&doubts.unmeasured_s), "time without a measured motion")?;
     let MapDoubts {
         contradicted_share,
         odometry_residual_sigmas,
         unmeasured_motion_s,
-        distant_relocations,
+        implausible_relocalizations,
         position_sigma_m,
-        untied_share,
+        unplaced_share,
         conflicting_closures,
     } = doubts.current;
     check((0.0..=1.0).contains(&contradicted_share), "share of contradicted points")?;
-    check((0.0..=1.0).contains(&untied_share), "share of nodes that are not tied")?;
+    check((0.0..=1.0).contains(&unplaced_share), "share of nodes that are not placed")?;
     check((0.0..=RESIDUAL_SIGMAS_MAX).contains(&odometry_residual_sigmas), "difference from odometry")?;
     check((0.0..=UNMEASURED_S_MAX).contains(&unmeasured_motion_s), "time without a measured motion")?;
-    check(distant_relocations <= NUMBER_MAX, "number of distant relocations")?;
+    check(implausible_relocalizations <= NUMBER_MAX, "number of implausible relocalizations")?;
     check(conflicting_closures as usize <= nodes * nodes, "number of conflicting closures")?;
     check(
         position_sigma_m.is_finite() && position_sigma_m >= 0.0,
@@ -281,13 +281,13 @@ fn check_front_end(front: &FrontEndState, nodes: usize) -> Result {
     check_swept_path(&front.swept_path, POSITION_M_MAX as f32)?;
     let c = &front.counts;
     let rejected = [
-        c.stamp_repeated,
-        c.stamp_went_back,
+        c.rejected_stamp_repeated,
+        c.rejected_stamp_went_back,
         c.rejected_beam_count,
         c.rejected_geometry,
-        c.odometry_rejected,
+        c.rejected_odometry,
     ];
-    let counts = [c.accepted, c.clock_set_back, c.lost, c.odometry_breaks, c.slips, c.trajectory_dropped];
+    let counts = [c.accepted, c.clock_resets, c.lost, c.odometry_breaks, c.slips, c.trajectory_dropped];
     check_counters(rejected.into_iter().chain(counts))?;
-    check_counters([c.nodes_held_back, c.not_deskewed, front.odometry_rejected])
+    check_counters([c.nodes_held_back, c.not_deskewed, front.rejected_odometry])
 }

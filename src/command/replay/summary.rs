@@ -12,12 +12,12 @@ pub struct Summary {
     pub log: String,
     /// Number of scans that got a pose.
     pub scans: u64,
-    /// Number of scans refused because their stamp repeated.
-    pub stamp_repeated: u64,
-    /// Number of scans refused because their stamp went back.
-    pub stamp_went_back: u64,
-    /// Number of scans refused for their beam count or geometry.
-    pub refused_other: u64,
+    /// Number of scans rejected because their stamp repeated.
+    pub rejected_stamp_repeated: u64,
+    /// Number of scans rejected because their stamp went back.
+    pub rejected_stamp_went_back: u64,
+    /// Number of scans rejected for their beam count or geometry.
+    pub rejected_other: u64,
     /// Number of scans that did not match the map.
     pub lost: u64,
     /// Number of scans without a pose in the map: the robot was not located then.
@@ -33,9 +33,9 @@ pub struct Summary {
     /// Number of nodes in the pose graph.
     pub nodes: usize,
     /// Number of nodes that nothing connects with the map: they are not in it.
-    pub untied_nodes: usize,
+    pub unplaced_nodes: usize,
     /// Number of components of such nodes.
-    pub untied_components: usize,
+    pub unplaced_components: usize,
     /// Whether there is evidence that the map is wrong: parts of it may be metres off.
     pub unreliable: bool,
     /// The evidence, each as a measured value.
@@ -88,10 +88,10 @@ impl Summary {
                 s.relocalization.contradicted
             );
         }
-        if s.untied_nodes > 0 {
+        if s.unplaced_nodes > 0 {
             text += &format!(
-                "  missing   {} nodes in {} pieces whose place in the map is not known\n",
-                s.untied_nodes, s.untied_components
+                "  missing   {} nodes in {} components whose place in the map is not known\n",
+                s.unplaced_nodes, s.unplaced_components
             );
         }
         for reason in &s.doubts_in_words {
@@ -115,12 +115,13 @@ impl Summary {
     pub(super) fn count(&mut self, front: &FrontEnd, back: &BackEnd) {
         let (counts, done) = (front.counts(), back.counts());
         (self.scans, self.lost) = (counts.accepted, counts.lost);
-        (self.stamp_repeated, self.stamp_went_back) = (counts.stamp_repeated, counts.stamp_went_back);
-        self.refused_other = counts.rejected_beam_count + counts.rejected_geometry;
+        (self.rejected_stamp_repeated, self.rejected_stamp_went_back) =
+            (counts.rejected_stamp_repeated, counts.rejected_stamp_went_back);
+        self.rejected_other = counts.rejected_beam_count + counts.rejected_geometry;
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
-        self.untied_nodes = done.untied;
-        self.untied_components = back.untied_piece_count();
+        self.unplaced_nodes = done.unplaced;
+        self.unplaced_components = back.unplaced_component_count();
         self.doubts = back.doubts();
         self.unreliable = self.doubts.is_unreliable();
         self.doubts_in_words = self.doubts.reasons().collect();

@@ -16,8 +16,8 @@ pub(super) fn write_trajectory(
     for (stamp, pose, place) in poses {
         match place {
             PlaceInMap::Known => {}
-            PlaceInMap::Untied(first_node) => {
-                write!(file, "# not tied to the map, piece of node {first_node}: ")?
+            PlaceInMap::Unplaced(first_node) => {
+                write!(file, "# not placed in the map, component of node {first_node}: ")?
             }
             PlaceInMap::Lost => write!(file, "# lost: ")?,
         }

@@ -1,7 +1,7 @@
-//! Pieces of the map whose position is too uncertain: they are not part of it until a closure tells where they are.
+//! Components of the map whose position is too uncertain: they are not part of it until a closure tells where they are.
 //!
-//! A place that may be metres from where it is drawn is worse than none. The graph keeps such a piece: closures are searched
-//! for as everywhere, and with the covariance the piece joins the map.
+//! A place that may be metres from where it is drawn is worse than none. The graph keeps such a component: closures are searched
+//! for as everywhere, and with the covariance the component joins the map.
 
 use super::BackEnd;
 use crate::map_doubts::SuspectedBreak;
@@ -9,25 +9,25 @@ use crate::map_doubts::SuspectedBreak;
 /// A node whose position has a larger standard deviation, relative to the map, is not part of it, metres. Public logs of large
 /// buildings, whose maps are right, have up to 1.48.
 const POSITION_SIGMA_MAX_M: f64 = 1.5;
-/// Pieces that are tried as the map, a bound: the largest wins.
-const PIECES_MAX: usize = 16;
+/// Components that are tried as the map, a bound: the largest wins.
+const COMPONENTS_MAX: usize = 16;
 
 impl BackEnd {
     /// Finds the covariances of all nodes anew, and which nodes are known well enough as seen from one of them. Where these
     /// are not all, the map is the largest such set, and the covariances are as seen from its first node.
     pub(super) fn update_covariances(&mut self) {
         for id in 0..self.nodes.len() as u32 {
-            self.nodes[id as usize].uncertain_piece = self.piece_beyond_cut(id);
+            self.nodes[id as usize].uncertain_component = self.component_beyond_break(id);
         }
         let systematic = self.systematic_odometry_errors();
-        // First node and size of the largest piece.
+        // First node and size of the largest component.
         let mut largest: Option<(u32, usize)> = None;
         let mut seen_from = None;
-        for _ in 0..PIECES_MAX {
+        for _ in 0..COMPONENTS_MAX {
             let Some(first) = self.nodes.iter().find(|node| node.in_map()).map(|node| node.id) else { break };
             self.graph.update_covariances(first, systematic);
             seen_from = Some(first);
-            let size = self.mark_piece(first);
+            let size = self.mark_component(first);
             if largest.is_none_or(|(_, most)| size > most) {
                 largest = Some((first, size));
             }
@@ -37,15 +37,15 @@ impl BackEnd {
             self.graph.update_covariances(first, systematic);
         }
         for id in 0..self.nodes.len() as u32 {
-            let (is_known, beyond_cut) = (self.is_position_known(id), self.piece_beyond_cut(id));
+            let (is_known, beyond_break) = (self.is_position_known(id), self.component_beyond_break(id));
             let node = &mut self.nodes[id as usize];
-            let is_uncertain = (!is_known || beyond_cut.is_some()) && node.disconnected_component.is_none();
-            node.uncertain_piece = is_uncertain.then(|| node.uncertain_piece.unwrap_or(id));
+            let is_uncertain = (!is_known || beyond_break.is_some()) && node.disconnected_component.is_none();
+            node.uncertain_component = is_uncertain.then(|| node.uncertain_component.unwrap_or(id));
         }
     }
 
-    /// First node of the piece of a node that lies beyond the place where the path is wrong, as seen from the larger part of it.
-    fn piece_beyond_cut(&self, id: u32) -> Option<u32> {
+    /// First node of the component of a node that lies beyond the place where the path is wrong, as seen from the larger part of it.
+    fn component_beyond_break(&self, id: u32) -> Option<u32> {
         let SuspectedBreak { before, after } = self.doubts.suspected_break?;
         let is_earlier_larger = before + 1 >= self.nodes.len() as u32 - after.min(self.nodes.len() as u32);
         match is_earlier_larger {
@@ -54,12 +54,12 @@ impl BackEnd {
         }
     }
 
-    /// Marks the nodes of no piece yet that are known well enough as seen from `first`; returns their number.
-    fn mark_piece(&mut self, first: u32) -> usize {
+    /// Marks the nodes of no component yet that are known well enough as seen from `first`; returns their number.
+    fn mark_component(&mut self, first: u32) -> usize {
         let mut size = 0;
         for id in first..self.nodes.len() as u32 {
-            if self.nodes[id as usize].is_tied() && self.is_position_known(id) {
-                self.nodes[id as usize].uncertain_piece = Some(first);
+            if self.nodes[id as usize].is_placed() && self.is_position_known(id) {
+                self.nodes[id as usize].uncertain_component = Some(first);
                 size += 1;
             }
         }
@@ -74,12 +74,12 @@ impl BackEnd {
     /// Judges the newest node by its covariance.
     pub(super) fn judge_newest_position(&mut self) {
         let Some(newest) = self.nodes.len().checked_sub(1) else { return };
-        let before = newest.checked_sub(1).and_then(|before| self.nodes[before].uncertain_piece);
+        let before = newest.checked_sub(1).and_then(|before| self.nodes[before].uncertain_component);
         let is_known =
-            self.is_position_known(newest as u32) && self.piece_beyond_cut(newest as u32).is_none();
+            self.is_position_known(newest as u32) && self.component_beyond_break(newest as u32).is_none();
         let node = &mut self.nodes[newest];
         let is_uncertain = !is_known && node.disconnected_component.is_none();
-        node.uncertain_piece = is_uncertain.then(|| before.unwrap_or(node.id));
+        node.uncertain_component = is_uncertain.then(|| before.unwrap_or(node.id));
     }
 
     fn is_position_known(&self, id: u32) -> bool {
@@ -110,18 +110,23 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_piece_that_is_known_is_the_map_until_a_closure_joins_them() {
+    fn the_largest_component_that_is_known_is_the_map_until_a_closure_joins_them() {
         let mut back = path_with_gap();
-        let pieces = |back: &BackEnd| back.nodes.iter().map(|node| node.uncertain_piece).collect::<Vec<_>>();
-        assert!(pieces(&back)[..20].iter().all(|piece| *piece == Some(0)), "{:?}", pieces(&back));
-        assert!(pieces(&back)[20..].iter().all(Option::is_none), "{:?}", pieces(&back));
-        assert_eq!((back.covariance_reference_node(), back.untied_piece_count()), (20, 1));
-        assert_eq!(back.counts().untied, 20);
+        let components =
+            |back: &BackEnd| back.nodes.iter().map(|node| node.uncertain_component).collect::<Vec<_>>();
+        assert!(
+            components(&back)[..20].iter().all(|component| *component == Some(0)),
+            "{:?}",
+            components(&back)
+        );
+        assert!(components(&back)[20..].iter().all(Option::is_none), "{:?}", components(&back));
+        assert_eq!((back.covariance_reference_node(), back.unplaced_component_count()), (20, 1));
+        assert_eq!(back.counts().unplaced, 20);
         let closure = Pose2::new(30.0, 0.0, 0.0);
         let information = information_from_sigmas(0.02, 0.003);
         back.graph.add_edge([10, 40], closure, information, EdgeKind::Closure, [0.0; 2]);
         back.update_covariances();
-        assert!(back.nodes.iter().all(Node::is_tied), "{:?}", pieces(&back));
+        assert!(back.nodes.iter().all(Node::is_placed), "{:?}", components(&back));
     }
 
     #[test]
@@ -129,10 +134,10 @@ mod tests {
         let mut back = path_with_gap();
         back.doubts.suspected_break = Some(SuspectedBreak { before: 49, after: 52 });
         back.update_covariances();
-        assert!(back.nodes[20..50].iter().all(Node::is_tied));
-        assert!(back.nodes[50..].iter().all(|node| node.untied_piece() == Some(50)));
+        assert!(back.nodes[20..50].iter().all(Node::is_placed));
+        assert!(back.nodes[50..].iter().all(|node| node.unplaced_component() == Some(50)));
         // The next node goes on beyond it.
         back.judge_newest_position();
-        assert_eq!(back.nodes[59].untied_piece(), Some(50));
+        assert_eq!(back.nodes[59].unplaced_component(), Some(50));
     }
 }
