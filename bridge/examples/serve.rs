@@ -5,8 +5,8 @@
 use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve};
 use bytemuck::Zeroable;
 use msg::{
-    Clock, Correction, FleetStats, GridHeader, GridView, Header, LinkTransform, Odometry, Pose2, RobotFrame,
-    RobotId, Scan, Stamp, Transforms,
+    Clock, Correction, FleetStats, GridHeader, GridView, Header, Odometry, Pose2, RobotFrame,
+    RobotFrameTransform, RobotId, Scan, Stamp, Transforms,
 };
 use std::net::Ipv4Addr;
 use std::rc::Rc;
@@ -54,7 +54,7 @@ async fn fleet(bridge: Rc<Bridge>) {
             let yaw = 0.2 * header.stamp.seconds();
             let place = Pose2::new(yaw.sin(), 1.0 - yaw.cos() + robot.number() as f64, yaw);
             if tick % 5 == robot.index() as u64 {
-                bridge.publish(FleetMessage::Transforms(robot, &links(header, place)));
+                bridge.publish(FleetMessage::Transforms(robot, &transforms(header, place)));
                 bridge.publish(FleetMessage::Odometry(
                     robot,
                     &Odometry { header, odom_from_base: place, ..Odometry::default() },
@@ -75,18 +75,18 @@ async fn fleet(bridge: Rc<Bridge>) {
     }
 }
 
-fn links(header: Header, place: Pose2) -> Transforms {
+fn transforms(header: Header, place: Pose2) -> Transforms {
     let (sin, cos) = (place.yaw_rad / 2.0).sin_cos();
     let mut message = Transforms { header, len: 2, ..Transforms::default() };
-    message.links[0] = LinkTransform {
-        parent: RobotFrame::Odom as u32,
-        child: RobotFrame::BaseFootprint as u32,
+    message.transforms[0] = RobotFrameTransform {
+        parent_frame: RobotFrame::Odom as u32,
+        child_frame: RobotFrame::BaseFootprint as u32,
         translation_m: [place.x_m, place.y_m, 0.0],
         rotation_xyzw: [0.0, 0.0, sin, cos],
     };
-    message.links[1] = LinkTransform {
-        parent: RobotFrame::BaseFootprint as u32,
-        child: RobotFrame::BaseScan as u32,
+    message.transforms[1] = RobotFrameTransform {
+        parent_frame: RobotFrame::BaseFootprint as u32,
+        child_frame: RobotFrame::BaseScan as u32,
         translation_m: [-0.032, 0.0, 0.182],
         rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
     };

@@ -7,7 +7,7 @@ mod publisher;
 mod static_transforms;
 mod table;
 
-pub use publisher::{FleetMessage, FleetPublisher, LinkTransformPolicy, TopicSink};
+pub use publisher::{FleetMessage, FleetPublisher, RobotTransformPolicy, TopicSink};
 pub use table::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
 
 use crate::input::{ADD_ZONE, EXPLORE, Input, REMOVE_ZONE};
@@ -99,7 +99,7 @@ impl FleetTopics {
             };
             named.map(add).collect()
         });
-        let publisher = FleetPublisher::new(style, robots, LinkTransformPolicy::OnTf);
+        let publisher = FleetPublisher::new(style, robots, RobotTransformPolicy::OnTf);
         Self { publisher, ids, velocity, selected_velocity }
     }
 

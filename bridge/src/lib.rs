@@ -41,7 +41,7 @@ pub use config::{
 pub use core::{ClientSelector, ConnectError, SelectorError};
 pub use drive::velocity_gate;
 pub use fleet_topics::{
-    Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransformPolicy, OUTGOING_TOPICS, OutgoingTopic,
+    Delivery, FleetMessage, FleetPublisher, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, RobotTransformPolicy,
     TopicSink,
 };
 pub use page::{

@@ -3,7 +3,7 @@
 //! ```text
 //!   LaserScan  ─▶ checked ──────────────────────────────▶ robotK/scan
 //!   Odometry   ─▶ checked ──────────────────────────────▶ robotK/odometry, robotK/transforms
-//!   TFMessage  ─▶ the fleet's links ─▶ robotK/transforms; odom -> base ─▶ robotK/odometry
+//!   TFMessage  ─▶ the fleet's frames ─▶ robotK/transforms; odom -> base ─▶ robotK/odometry
 //!   Clock      ─────────────────────────────────────────▶ clock
 //!                 every stamp: the source's clock -> the run's ([`SourceClock`])
 //! ```
@@ -23,10 +23,10 @@ pub use error::WorldError;
 pub(crate) use input::{DDS_SOURCE, WorldInput};
 pub use suspects::OutlierError;
 
-use checks::{check_link, check_scan, empty_scan, planar_pose};
+use checks::{check_scan, check_transform, empty_scan, planar_pose};
 use msg::{
-    Clock, LINKS_MAX, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotId, Scan, Stamp,
-    Transforms,
+    Clock, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp,
+    TRANSFORMS_MAX, Transforms,
 };
 use ros_messages::cdr::Reader;
 use ros_messages::names::{FleetFrame, RobotNames};
@@ -99,8 +99,8 @@ pub struct ExternalWorld {
     robots: [RobotState; ROBOTS_MAX],
     /// The scan that is being decoded.
     scan: Box<Scan>,
-    /// The links of each robot in the message that is being decoded.
-    links: Box<[Transforms; ROBOTS_MAX]>,
+    /// The transforms of each robot in the message that is being decoded.
+    transforms: Box<[Transforms; ROBOTS_MAX]>,
     /// The newest time that was passed on.
     clock: Stamp,
     /// The source of the clock, and the run's time of its last message.
@@ -115,7 +115,7 @@ impl ExternalWorld {
             names: robots.into(),
             robots: [RobotState::default(); ROBOTS_MAX],
             scan: empty_scan(),
-            links: Box::new([Transforms::default(); ROBOTS_MAX]),
+            transforms: Box::new([Transforms::default(); ROBOTS_MAX]),
             clock: Stamp(i64::MIN),
             clock_source: None,
             sink: Box::new(sink),
@@ -180,7 +180,7 @@ impl ExternalWorld {
     ) -> Result<(), WorldError> {
         // The whole message must be readable before any part of it is taken.
         read::transforms(&mut from.clone(), |_| {})?;
-        self.links.iter_mut().for_each(|links| links.len = 0);
+        self.transforms.iter_mut().for_each(|transforms| transforms.len = 0);
         let mut result = Ok(());
         read::transforms(&mut from.clone(), |transform| {
             let taken = self.receive_transform(origin, of, &transform);
@@ -188,7 +188,7 @@ impl ExternalWorld {
                 result = taken;
             }
         })?;
-        self.names.robots().for_each(|robot| self.send_links(robot));
+        self.names.robots().for_each(|robot| self.send_transforms(robot));
         result
     }
 
@@ -201,7 +201,7 @@ impl ExternalWorld {
     ) -> Result<(), WorldError> {
         self.check_source(origin, robot)?;
         let transform = read::odometry(&mut from)?;
-        let link = check_link(RobotFrame::Odom, RobotFrame::BaseFootprint, &transform)?;
+        let link = check_transform(RobotFrame::Odom, RobotFrame::BaseFootprint, &transform)?;
         let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
         let is_new = state.last_pose.is_none_or(|(_, before, _)| stamp > before);
@@ -209,9 +209,9 @@ impl ExternalWorld {
         state.has_footprint = true;
         self.send_odometry(robot, transform.stamp, stamp, &link)?;
         if is_new {
-            let links = &mut self.links[robot.index()];
-            (links.header.stamp, links.len, links.links[0]) = (stamp, 1, link);
-            self.send_links(robot);
+            let transforms = &mut self.transforms[robot.index()];
+            (transforms.header.stamp, transforms.len, transforms.transforms[0]) = (stamp, 1, link);
+            self.send_transforms(robot);
         }
         Ok(())
     }
@@ -251,8 +251,8 @@ impl ExternalWorld {
         Ok(())
     }
 
-    /// Returns the robot and the links of a transform, `None` if it is not between the fleet's frames.
-    fn fleet_link(
+    /// Returns the robot and the two frames of a transform, `None` if it is not between the fleet's frames.
+    fn fleet_frames(
         &self,
         of: Option<RobotId>,
         transform: &Transform<'_>,
@@ -288,36 +288,37 @@ impl ExternalWorld {
             return Err(WorldError::Correction { parent: parent.into(), child: child.into() });
         }
         let wrong = |source| WorldError::Transform { parent: parent.into(), child: child.into(), source };
-        let Some((robot, parent_link, child_link)) = self.fleet_link(of, transform).map_err(wrong)? else {
+        let Some((robot, parent_frame, child_frame)) = self.fleet_frames(of, transform).map_err(wrong)?
+        else {
             return Ok(());
         };
         self.check_source(origin, robot)?;
-        let link = check_link(parent_link, child_link, transform).map_err(wrong)?;
+        let link = check_transform(parent_frame, child_frame, transform).map_err(wrong)?;
         let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
         state.source = Some((origin.source, origin.received));
-        if parent_link == RobotFrame::Odom
-            && matches!(child_link, RobotFrame::BaseFootprint | RobotFrame::BaseLink)
+        if parent_frame == RobotFrame::Odom
+            && matches!(child_frame, RobotFrame::BaseFootprint | RobotFrame::BaseLink)
         {
-            state.has_footprint |= child_link == RobotFrame::BaseFootprint;
-            if child_link == RobotFrame::BaseFootprint || !state.has_footprint {
+            state.has_footprint |= child_frame == RobotFrame::BaseFootprint;
+            if child_frame == RobotFrame::BaseFootprint || !state.has_footprint {
                 self.send_odometry(robot, transform.stamp, stamp, &link).map_err(wrong)?;
             }
         }
-        self.add_link(robot, stamp, link);
+        self.add_transform(robot, stamp, link);
         Ok(())
     }
 
-    /// Adds a link to the robot's message; links of another stamp are sent first.
-    fn add_link(&mut self, robot: RobotId, stamp: Stamp, link: LinkTransform) {
-        if self.links[robot.index()].len > 0 && self.links[robot.index()].header.stamp != stamp {
-            self.send_links(robot);
+    /// Adds a transform to the robot's message; those of another stamp are sent first.
+    fn add_transform(&mut self, robot: RobotId, stamp: Stamp, transform: RobotFrameTransform) {
+        if self.transforms[robot.index()].len > 0 && self.transforms[robot.index()].header.stamp != stamp {
+            self.send_transforms(robot);
         }
-        let links = &mut self.links[robot.index()];
-        links.header.stamp = stamp;
-        if let Some(place) = links.links.get_mut((links.len as usize).min(LINKS_MAX)) {
-            *place = link;
-            links.len += 1;
+        let transforms = &mut self.transforms[robot.index()];
+        transforms.header.stamp = stamp;
+        if let Some(place) = transforms.transforms.get_mut((transforms.len as usize).min(TRANSFORMS_MAX)) {
+            *place = transform;
+            transforms.len += 1;
         }
     }
 
@@ -327,9 +328,9 @@ impl ExternalWorld {
         robot: RobotId,
         sent: Stamp,
         stamp: Stamp,
-        link: &LinkTransform,
+        transform: &RobotFrameTransform,
     ) -> Result<(), TransformError> {
-        let odom_from_base = planar_pose(link)?;
+        let odom_from_base = planar_pose(transform)?;
         let state = &mut self.robots[robot.index()];
         let mut odometry = Odometry { odom_from_base, ..Odometry::default() };
         odometry.header.stamp = stamp;
@@ -350,11 +351,11 @@ impl ExternalWorld {
         Ok(())
     }
 
-    fn send_links(&mut self, robot: RobotId) {
-        let links = &mut self.links[robot.index()];
-        if links.len > 0 {
-            (self.sink)(WorldMessage::Transforms(robot, links));
-            links.len = 0;
+    fn send_transforms(&mut self, robot: RobotId) {
+        let transforms = &mut self.transforms[robot.index()];
+        if transforms.len > 0 {
+            (self.sink)(WorldMessage::Transforms(robot, transforms));
+            transforms.len = 0;
         }
     }
 }

@@ -311,8 +311,8 @@ fn a_client_that_keeps_up_gets_every_transform_in_order() {
     let robot = msg::RobotId::new(1).unwrap();
     for sent in 1..=2_000 {
         let mut transforms = msg::Transforms { len: 1, ..Default::default() };
-        transforms.links[0].parent = msg::RobotFrame::Odom as u32;
-        transforms.links[0].child = msg::RobotFrame::BaseFootprint as u32;
+        transforms.transforms[0].parent_frame = msg::RobotFrame::Odom as u32;
+        transforms.transforms[0].child_frame = msg::RobotFrame::BaseFootprint as u32;
         transforms.header.stamp = msg::Stamp(sent * 50_000_000);
         let mut clock = msg::Clock::default();
         clock.header.stamp = msg::Stamp(sent * 50_000_000 + 1);

@@ -9,7 +9,8 @@ use crate::scan::{DecimatedScan, SCAN_BEAMS_MAX, ScanRate};
 pub use crate::size::{HEAD_BYTES, MESSAGE_MAX};
 use crate::table::Kind;
 use msg::{
-    Correction, Header, LINKS_MAX, LinkTransform, Monotonic, Pose2, Stamp, Transforms, VelocityCommand,
+    Correction, Header, Monotonic, Pose2, RobotFrameTransform, Stamp, TRANSFORMS_MAX, Transforms,
+    VelocityCommand,
 };
 
 /// Number of bytes of a chunk before its content.
@@ -296,10 +297,10 @@ fn read_correction(from: &mut Reader<'_>) -> Result<Option<Correction>, WireErro
 /// Writes the frames with single precision: below a micrometre within ten metres.
 fn write_transforms(to: &mut Vec<u8>, transforms: &Transforms) {
     to.extend(transforms.header.stamp.0.to_le_bytes());
-    to.push(transforms.links().len() as u8);
-    for link in transforms.links() {
-        to.extend([link.parent as u8, link.child as u8]);
-        let values = link.translation_m.iter().chain(&link.rotation_xyzw);
+    to.push(transforms.transforms().len() as u8);
+    for transform in transforms.transforms() {
+        to.extend([transform.parent_frame as u8, transform.child_frame as u8]);
+        let values = transform.translation_m.iter().chain(&transform.rotation_xyzw);
         values.for_each(|value| to.extend((*value as f32).to_le_bytes()));
     }
 }
@@ -307,13 +308,13 @@ fn write_transforms(to: &mut Vec<u8>, transforms: &Transforms) {
 fn read_transforms(from: &mut Reader<'_>) -> Result<Option<Transforms>, WireError> {
     let mut transforms = Transforms { header: header(from.i64()?), ..Default::default() };
     let [len] = from.array()?;
-    if usize::from(len) > LINKS_MAX {
+    if usize::from(len) > TRANSFORMS_MAX {
         return Ok(None);
     }
     transforms.len = len.into();
-    for link in &mut transforms.links[..usize::from(len)] {
-        *link = read_link(from)?;
-        let mut values = link.translation_m.iter().chain(&link.rotation_xyzw);
+    for transform in &mut transforms.transforms[..usize::from(len)] {
+        *transform = read_transform(from)?;
+        let mut values = transform.translation_m.iter().chain(&transform.rotation_xyzw);
         if !values.all(|value| value.is_finite()) {
             return Ok(None);
         }
@@ -321,13 +322,14 @@ fn read_transforms(from: &mut Reader<'_>) -> Result<Option<Transforms>, WireErro
     Ok(Some(transforms))
 }
 
-fn read_link(from: &mut Reader<'_>) -> Result<LinkTransform, WireError> {
+fn read_transform(from: &mut Reader<'_>) -> Result<RobotFrameTransform, WireError> {
     let [parent, child] = from.array()?;
-    let mut link = LinkTransform { parent: parent.into(), child: child.into(), ..Default::default() };
-    for value in link.translation_m.iter_mut().chain(&mut link.rotation_xyzw) {
+    let mut transform =
+        RobotFrameTransform { parent_frame: parent.into(), child_frame: child.into(), ..Default::default() };
+    for value in transform.translation_m.iter_mut().chain(&mut transform.rotation_xyzw) {
         *value = f64::from(from.f32()?);
     }
-    Ok(link)
+    Ok(transform)
 }
 
 fn read_chunk(from: &mut Reader<'_>) -> Result<Option<Chunk>, WireError> {

@@ -9,8 +9,8 @@ use link::wire::{
 };
 use link::{DecimatedScan, Envelope, Message, PartContent, PartKey, PartReceiver, ScanRate, WireError};
 use msg::{
-    Correction, Header, LINKS_MAX, LinkTransform, Monotonic, Pose2, Stamp, Submap, SubmapEdge, SubmapPoses,
-    Transforms, VelocityCommand,
+    Correction, Header, Monotonic, Pose2, RobotFrameTransform, Stamp, Submap, SubmapEdge, SubmapPoses,
+    TRANSFORMS_MAX, Transforms, VelocityCommand,
 };
 use proptest::prelude::*;
 
@@ -34,8 +34,12 @@ fn scan(beams: usize) -> DecimatedScan {
 
 fn messages() -> Vec<Message> {
     let header = Header { stamp: Stamp(-9), ..Header::default() };
-    let links =
-        [LinkTransform { parent: 1, child: 2, translation_m: [0.5; 3], rotation_xyzw: [0.25; 4] }; LINKS_MAX];
+    let transforms = [RobotFrameTransform {
+        parent_frame: 1,
+        child_frame: 2,
+        translation_m: [0.5; 3],
+        rotation_xyzw: [0.25; 4],
+    }; TRANSFORMS_MAX];
     let receipt = Receipt { key: PartKey::Tile(-1, 2), hash: 77, received: COMPLETE };
     let chunk = |len: usize| Chunk {
         key: PartKey::Submap(4),
@@ -62,7 +66,12 @@ fn messages() -> Vec<Message> {
             closures: 2,
             ..Default::default()
         }),
-        Message::Transforms(Box::new(Transforms { header, len: LINKS_MAX as u32, reserved: 0, links })),
+        Message::Transforms(Box::new(Transforms {
+            header,
+            len: TRANSFORMS_MAX as u32,
+            reserved: 0,
+            transforms,
+        })),
         Message::Chunk(chunk(CHUNK_BYTES_MAX)),
         Message::Held(HeldPage { page: 1, pages: 2, list: 6, parts: vec![receipt; RECEIPTS_MAX] }),
         Message::Acknowledgement(vec![receipt; RECEIPTS_MAX]),

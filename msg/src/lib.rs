@@ -58,7 +58,8 @@ pub use grid::{Grid, GridHeader, GridView};
 pub use health::{ProcessHealth, Role};
 pub use id::{ROBOTS_MAX, RobotId};
 pub use motion::{
-    Clock, GroundTruth, LINKS_MAX, LinkTransform, Odometry, RobotFrame, Transforms, VelocityCommand,
+    Clock, GroundTruth, Odometry, RobotFrame, RobotFrameTransform, TRANSFORMS_MAX, Transforms,
+    VelocityCommand,
 };
 pub use navigation::{
     GOAL_POSES_MAX, NavigationAction, NavigationCommand, NavigationFrame, NavigationPlan, NavigationPose,

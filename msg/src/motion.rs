@@ -57,8 +57,8 @@ pub struct Clock {
     pub header: Header,
 }
 
-/// Largest number of links in one [`Transforms`] message.
-pub const LINKS_MAX: usize = 8;
+/// Largest number of transforms in one [`Transforms`] message.
+pub const TRANSFORMS_MAX: usize = 8;
 
 /// Coordinate frame of one robot (REP-105 and ROBOTIS's model of the TurtleBot3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,7 +81,7 @@ pub enum RobotFrame {
 }
 
 impl RobotFrame {
-    /// All links in the order of their codes.
+    /// All frames in the order of their codes.
     pub const ALL: [Self; 7] = [
         Self::Odom,
         Self::BaseFootprint,
@@ -92,12 +92,12 @@ impl RobotFrame {
         Self::Imu,
     ];
 
-    /// Decodes a link; `None` for an unknown code.
+    /// Decodes a frame; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
-        Self::ALL.into_iter().find(|link| *link as u32 == code)
+        Self::ALL.into_iter().find(|frame| *frame as u32 == code)
     }
 
-    /// Returns whether the link never moves against its parent (tf_static).
+    /// Returns whether the frame never moves against its parent (tf_static).
     pub fn is_fixed(self) -> bool {
         matches!(self, Self::BaseLink | Self::BaseScan | Self::Imu)
     }
@@ -116,37 +116,37 @@ impl RobotFrame {
     }
 }
 
-/// Transform `parent_from_child` between two links.
+/// Transform `parent_from_child` between two frames.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub struct LinkTransform {
+pub struct RobotFrameTransform {
     /// Code of the parent [`RobotFrame`].
-    pub parent: u32,
+    pub parent_frame: u32,
     /// Code of the child [`RobotFrame`].
-    pub child: u32,
+    pub child_frame: u32,
     /// Position of the child in the parent's frame, metres.
     pub translation_m: [f64; 3],
     /// Rotation of the child in the parent's frame, unit quaternion x, y, z, w.
     pub rotation_xyzw: [f64; 4],
 }
 
-/// Transforms of one robot's links at one time (its part of /tf).
+/// Transforms between one robot's frames at one time (its part of /tf).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Transforms {
     /// Header whose `stamp` is the time of every transform.
     pub header: Header,
-    /// Number of `links` in use. Read them by [`Transforms::links`].
+    /// Number of `transforms` in use. Read them by [`Transforms::transforms`].
     pub len: u32,
     /// Padding, always zero.
     pub reserved: u32,
-    /// Storage of the transforms. Read it by [`Transforms::links`].
-    pub links: [LinkTransform; LINKS_MAX],
+    /// Storage of the transforms. Read it by [`Transforms::transforms`].
+    pub transforms: [RobotFrameTransform; TRANSFORMS_MAX],
 }
 
 impl Transforms {
     /// Returns the transforms in use.
-    pub fn links(&self) -> &[LinkTransform] {
-        &self.links[..(self.len as usize).min(LINKS_MAX)]
+    pub fn transforms(&self) -> &[RobotFrameTransform] {
+        &self.transforms[..(self.len as usize).min(TRANSFORMS_MAX)]
     }
 }

@@ -214,7 +214,7 @@ pub struct FrameNames {
 #[derive(Clone, Debug)]
 struct RobotFrames {
     map: String,
-    links: [String; RobotFrame::ALL.len()],
+    frames: [String; RobotFrame::ALL.len()],
 }
 
 impl FrameNames {
@@ -222,7 +222,7 @@ impl FrameNames {
     pub fn new(style: NameStyle, names: &RobotNames) -> Self {
         let robot = |robot| RobotFrames {
             map: names.frame(style, robot, MAP),
-            links: RobotFrame::ALL.map(|link| names.frame(style, robot, link.name())),
+            frames: RobotFrame::ALL.map(|frame| names.frame(style, robot, frame.name())),
         };
         Self { robots: names.robots().map(robot).collect() }
     }
@@ -233,8 +233,8 @@ impl FrameNames {
     }
 
     /// Returns a frame of the robot's body: `base_scan_1`. Panics for a robot beyond the fleet.
-    pub fn robot_frame(&self, robot: RobotId, link: RobotFrame) -> &str {
-        &self.robots[robot.index()].links[link as usize - 1]
+    pub fn robot_frame(&self, robot: RobotId, frame: RobotFrame) -> &str {
+        &self.robots[robot.index()].frames[frame as usize - 1]
     }
 }
 

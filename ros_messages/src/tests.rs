@@ -4,7 +4,8 @@ use super::*;
 use crate::cdr::Writer;
 use bytemuck::Zeroable;
 use msg::{
-    GridHeader, GridView, Header, LinkTransform, MapTransforms, Pose2, RobotFrame, RobotId, Stamp, Transforms,
+    GridHeader, GridView, Header, MapTransforms, Pose2, RobotFrame, RobotFrameTransform, RobotId, Stamp,
+    Transforms,
 };
 use proptest::prelude::*;
 use std::fmt::Debug;
@@ -221,13 +222,17 @@ fn a_scan_is_encoded_field_by_field() {
 #[test]
 fn all_transforms_have_their_frame_names() {
     let names = FrameNames::new(NameStyle::Flat, &3.into());
-    let mut links = Transforms { header: header(7), len: 3, ..Default::default() };
-    let link = |parent: u32, child: u32| LinkTransform { parent, child, ..Default::default() };
-    links.links[0] = link(RobotFrame::Odom as u32, RobotFrame::BaseFootprint as u32);
-    links.links[1] = link(99, RobotFrame::BaseLink as u32);
-    links.links[2] = link(RobotFrame::BaseLink as u32, RobotFrame::BaseScan as u32);
+    let mut transforms = Transforms { header: header(7), len: 3, ..Default::default() };
+    let transform = |parent: u32, child: u32| RobotFrameTransform {
+        parent_frame: parent,
+        child_frame: child,
+        ..Default::default()
+    };
+    transforms.transforms[0] = transform(RobotFrame::Odom as u32, RobotFrame::BaseFootprint as u32);
+    transforms.transforms[1] = transform(99, RobotFrame::BaseLink as u32);
+    transforms.transforms[2] = transform(RobotFrame::BaseLink as u32, RobotFrame::BaseScan as u32);
     let mut out = Vec::new();
-    write::transforms(&mut Writer::new(&mut out), &names, robot(2), &links);
+    write::transforms(&mut Writer::new(&mut out), &names, robot(2), &transforms);
     let tree: TfMessage = decode(&out).unwrap();
     let edges: Vec<_> =
         tree.transforms.iter().map(|t| (t.frame_id.as_str(), t.child_frame_id.as_str())).collect();

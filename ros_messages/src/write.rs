@@ -3,8 +3,8 @@
 use crate::cdr::{Dialect, Writer};
 use crate::names::{FrameNames, MAP};
 use msg::{
-    Correction, GridView, IndexRect, LinkTransform, MapTransforms, Odometry, Pose2, RobotFrame, RobotId,
-    RobotStats, Scan, Stamp, Transforms,
+    Correction, GridView, IndexRect, MapTransforms, Odometry, Pose2, RobotFrame, RobotFrameTransform,
+    RobotId, RobotStats, Scan, Stamp, Transforms,
 };
 
 /// Writes builtin_interfaces/Time: whole seconds and the remaining nanoseconds.
@@ -94,25 +94,30 @@ pub fn laser_scan(to: &mut Writer<'_>, frame_id: &str, scan: &Scan) {
     to.count(0);
 }
 
-/// Writes tf2_msgs/TFMessage with one robot's links. Links of unknown code are left out.
+/// Writes tf2_msgs/TFMessage with one robot's transforms. Frames of unknown code are left out.
 pub fn transforms(to: &mut Writer<'_>, names: &FrameNames, robot: RobotId, message: &Transforms) {
     some_transforms(to, names, &[(robot, message)], |_| true);
 }
 
-/// Writes tf2_msgs/TFMessage with those links of several robots whose child is `wanted`.
+/// Writes tf2_msgs/TFMessage with those transforms of several robots whose child is `wanted`.
 pub fn some_transforms(
     to: &mut Writer<'_>,
     names: &FrameNames,
     robots: &[(RobotId, &Transforms)],
     wanted: impl Fn(RobotFrame) -> bool,
 ) {
-    let known = |link: &LinkTransform| {
-        let child = RobotFrame::from_code(link.child).filter(|child| wanted(*child))?;
-        Some((RobotFrame::from_code(link.parent)?, child, link.translation_m, link.rotation_xyzw))
+    let known = |transform: &RobotFrameTransform| {
+        let child = RobotFrame::from_code(transform.child_frame).filter(|child| wanted(*child))?;
+        Some((
+            RobotFrame::from_code(transform.parent_frame)?,
+            child,
+            transform.translation_m,
+            transform.rotation_xyzw,
+        ))
     };
-    to.count(robots.iter().flat_map(|(_, message)| message.links()).filter_map(known).count());
+    to.count(robots.iter().flat_map(|(_, message)| message.transforms()).filter_map(known).count());
     for (robot, message) in robots {
-        for (parent, child, translation, rotation) in message.links().iter().filter_map(known) {
+        for (parent, child, translation, rotation) in message.transforms().iter().filter_map(known) {
             let (parent, child) = (names.robot_frame(*robot, parent), names.robot_frame(*robot, child));
             transform(to, message.header.stamp, parent, child, translation, rotation);
         }

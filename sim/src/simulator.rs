@@ -13,7 +13,7 @@ use core::time::Duration;
 use glam::DQuat;
 use msg::pose::wrap_angle;
 use msg::{
-    GroundTruth, Header, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotId, Scan, Stamp,
+    GroundTruth, Header, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp,
     Transforms, VelocityCommand,
 };
 use parry3d::math::Pose;
@@ -81,7 +81,7 @@ pub struct StepOutput {
     pub stamp: Stamp,
     /// True pose of the robot after the tick.
     pub truth: GroundTruth,
-    /// Transforms of the robot's links, at 20 Hz.
+    /// Transforms between the robot's frames, at 20 Hz.
     pub transforms: Option<Transforms>,
     /// Odometry with the same stamp as the transforms, at 20 Hz.
     pub odometry: Option<Odometry>,
@@ -281,22 +281,22 @@ impl Simulator {
         // In the URDF (rpy -1.57 0 0), the z axis of a wheel's frame points along the axle.
         let wheel = |angle_rad| DQuat::from_rotation_x(-FRAC_PI_2) * DQuat::from_rotation_z(angle_rad);
         let still = DQuat::IDENTITY;
-        let links = [
-            link(
+        let frames = [
+            frame(
                 RobotFrame::Odom,
                 RobotFrame::BaseFootprint,
                 [x_m, y_m, 0.0],
                 DQuat::from_rotation_z(yaw_rad),
             ),
-            link(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
-            link(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
-            link(RobotFrame::BaseLink, RobotFrame::WheelLeft, [wx, wy, wz], wheel(left_rad)),
-            link(RobotFrame::BaseLink, RobotFrame::WheelRight, [wx, -wy, wz], wheel(right_rad)),
-            link(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
+            frame(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
+            frame(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
+            frame(RobotFrame::BaseLink, RobotFrame::WheelLeft, [wx, wy, wz], wheel(left_rad)),
+            frame(RobotFrame::BaseLink, RobotFrame::WheelRight, [wx, -wy, wz], wheel(right_rad)),
+            frame(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
         ];
         let mut transforms =
-            Transforms { header: self.header(), len: links.len() as u32, ..Transforms::default() };
-        transforms.links[..links.len()].copy_from_slice(&links);
+            Transforms { header: self.header(), len: frames.len() as u32, ..Transforms::default() };
+        transforms.transforms[..frames.len()].copy_from_slice(&frames);
         transforms
     }
 }
@@ -305,22 +305,27 @@ impl Simulator {
 pub fn transforms_of(odometry: &Odometry) -> Transforms {
     let Pose2 { x_m, y_m, yaw_rad } = odometry.odom_from_base;
     let still = DQuat::IDENTITY;
-    let links = [
-        link(RobotFrame::Odom, RobotFrame::BaseFootprint, [x_m, y_m, 0.0], DQuat::from_rotation_z(yaw_rad)),
-        link(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
-        link(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
-        link(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
+    let frames = [
+        frame(RobotFrame::Odom, RobotFrame::BaseFootprint, [x_m, y_m, 0.0], DQuat::from_rotation_z(yaw_rad)),
+        frame(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
+        frame(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
+        frame(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
     ];
     let mut transforms =
-        Transforms { header: odometry.header, len: links.len() as u32, ..Transforms::default() };
-    transforms.links[..links.len()].copy_from_slice(&links);
+        Transforms { header: odometry.header, len: frames.len() as u32, ..Transforms::default() };
+    transforms.transforms[..frames.len()].copy_from_slice(&frames);
     transforms
 }
 
-fn link(parent: RobotFrame, child: RobotFrame, translation_m: [f64; 3], rotation: DQuat) -> LinkTransform {
-    LinkTransform {
-        parent: parent as u32,
-        child: child as u32,
+fn frame(
+    parent: RobotFrame,
+    child: RobotFrame,
+    translation_m: [f64; 3],
+    rotation: DQuat,
+) -> RobotFrameTransform {
+    RobotFrameTransform {
+        parent_frame: parent as u32,
+        child_frame: child as u32,
         translation_m,
         rotation_xyzw: rotation.to_array(),
     }

@@ -151,7 +151,7 @@ fn transforms_equal_those_of_the_turtlebot3() {
         last = tick.transforms.zip(tick.odometry).or(last);
     }
     let (transforms, odometry) = last.unwrap();
-    let edges: Vec<_> = transforms.links().iter().map(|l| (l.parent, l.child)).collect();
+    let edges: Vec<_> = transforms.transforms().iter().map(|t| (t.parent_frame, t.child_frame)).collect();
     let edge = |parent: RobotFrame, child: RobotFrame| (parent as u32, child as u32);
     assert_eq!(
         edges,
@@ -164,18 +164,18 @@ fn transforms_equal_those_of_the_turtlebot3() {
             edge(RobotFrame::BaseLink, RobotFrame::Imu),
         ]
     );
-    let base = transforms.links()[0];
+    let base = transforms.transforms()[0];
     assert_eq!(base.translation_m, [odometry.odom_from_base.x_m, odometry.odom_from_base.y_m, 0.0]);
     let half_yaw = odometry.odom_from_base.yaw_rad / 2.0;
     assert!((base.rotation_xyzw[2] - half_yaw.sin()).abs() < 1e-12);
-    for link in transforms.links() {
-        let norm: f64 = link.rotation_xyzw.iter().map(|c| c * c).sum();
+    for transform in transforms.transforms() {
+        let norm: f64 = transform.rotation_xyzw.iter().map(|c| c * c).sum();
         assert!((norm - 1.0).abs() < 1e-9);
     }
     // Out of a wheel's lying frame: its turn about its axle. Forward is positive on both sides.
     let turned_rad = |i: usize| {
         let upright =
-            DQuat::from_rotation_x(FRAC_PI_2) * DQuat::from_array(transforms.links()[i].rotation_xyzw);
+            DQuat::from_rotation_x(FRAC_PI_2) * DQuat::from_array(transforms.transforms()[i].rotation_xyzw);
         wrap_angle(2.0 * upright.z.atan2(upright.w))
     };
     let expected_rad = odometry.odom_from_base.yaw_rad * 0.160 / 0.033;

@@ -19,7 +19,7 @@ const LEFT_OUT: u64 = 20;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TransformJitter {
     run: u64,
-    links: [Mean; RobotFrame::ALL.len()],
+    frames: [Mean; RobotFrame::ALL.len()],
     deviations: Histogram,
 }
 
@@ -52,11 +52,11 @@ impl TransformJitter {
         if transforms.header.incarnation != self.run {
             // The clock of a restarted writer may begin elsewhere. Deviations counted so far stay.
             self.run = transforms.header.incarnation;
-            self.links = Default::default();
+            self.frames = Default::default();
         }
         let age_ns = (received.0 as i64).wrapping_sub(transforms.header.stamp.0);
-        for link in transforms.links().iter().filter_map(|link| RobotFrame::from_code(link.child)) {
-            let mean = &mut self.links[link as usize - 1];
+        for frame in transforms.transforms().iter().filter_map(|it| RobotFrame::from_code(it.child_frame)) {
+            let mean = &mut self.frames[frame as usize - 1];
             if mean.left_out < LEFT_OUT {
                 mean.left_out += 1;
                 continue;
@@ -77,13 +77,14 @@ impl TransformJitter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use msg::{Header, LinkTransform, Stamp};
+    use msg::{Header, RobotFrameTransform, Stamp};
 
     fn message(stamp_ns: i64, run: u64) -> Transforms {
         let mut message = Transforms { len: 2, ..Default::default() };
         message.header = Header { stamp: Stamp(stamp_ns), incarnation: run, ..Default::default() };
-        message.links[0] = LinkTransform { child: RobotFrame::BaseFootprint as u32, ..Default::default() };
-        message.links[1] = LinkTransform { child: 99, ..Default::default() };
+        message.transforms[0] =
+            RobotFrameTransform { child_frame: RobotFrame::BaseFootprint as u32, ..Default::default() };
+        message.transforms[1] = RobotFrameTransform { child_frame: 99, ..Default::default() };
         message
     }
 

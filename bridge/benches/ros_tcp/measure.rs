@@ -1,6 +1,6 @@
 //! Times, and how they are printed.
 
-use msg::{Header, LinkTransform, RobotFrame, Stamp, Transforms};
+use msg::{Header, RobotFrame, RobotFrameTransform, Stamp, Transforms};
 use std::time::Instant;
 
 pub fn nanoseconds(begin: Instant) -> i64 {
@@ -41,13 +41,13 @@ pub fn stamp_at(payload: &[u8], offset: usize) -> i64 {
     i64::from(word(offset)) * 1_000_000_000 + i64::from(word(offset + 4))
 }
 
-pub fn links(header: Header) -> Transforms {
+pub fn transforms(header: Header) -> Transforms {
     let mut message = Transforms { header, len: 6, ..Transforms::default() };
-    for (link, child) in message.links.iter_mut().zip(&RobotFrame::ALL[1..]) {
-        *link = LinkTransform {
-            parent: RobotFrame::Odom as u32,
-            child: *child as u32,
-            ..LinkTransform::default()
+    for (transform, child) in message.transforms.iter_mut().zip(&RobotFrame::ALL[1..]) {
+        *transform = RobotFrameTransform {
+            parent_frame: RobotFrame::Odom as u32,
+            child_frame: *child as u32,
+            ..RobotFrameTransform::default()
         };
     }
     message

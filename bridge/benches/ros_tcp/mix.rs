@@ -1,7 +1,7 @@
 //! Latency and jitter of the messages of a fleet of three.
 
 use crate::client::Client;
-use crate::measure::{header, links, nanoseconds, print_us, stamp_at, thread_cpu_ns};
+use crate::measure::{header, nanoseconds, print_us, stamp_at, thread_cpu_ns, transforms};
 use crate::server::{Job, ROBOTS, Server};
 use bridge::FleetMessage;
 use bridge::command::name;
@@ -9,7 +9,7 @@ use msg::{Clock, RobotId, Scan};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Measures the latency and jitter of the fleet's messages: links of 3 robots at 20 Hz, scans at 10 Hz, clock at 100 Hz.
+/// Measures the latency and jitter of the fleet's messages: transforms of 3 robots at 20 Hz, scans at 10 Hz, clock at 100 Hz.
 pub fn mix(seconds: u64) {
     let server = Server::start();
     let subscribed = [
@@ -52,7 +52,7 @@ pub fn mix(seconds: u64) {
         for robot in RobotId::first(ROBOTS) {
             if tick % 5 == robot.index() as u64 {
                 let job: Job = Box::new(move |bridge| {
-                    bridge.publish(FleetMessage::Transforms(robot, &links(header(begin))))
+                    bridge.publish(FleetMessage::Transforms(robot, &transforms(header(begin))))
                 });
                 server.jobs.send(job).unwrap();
             }

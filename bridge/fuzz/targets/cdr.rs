@@ -73,7 +73,7 @@ fn receive(dialect: Dialect, payload: &[u8]) {
         }
         WorldMessage::Transforms(_, transforms) => {
             let all_finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
-            assert!(transforms.links().iter().all(|l| all_finite(&l.translation_m) && all_finite(&l.rotation_xyzw)));
+            assert!(transforms.transforms().iter().all(|l| all_finite(&l.translation_m) && all_finite(&l.rotation_xyzw)));
         }
         WorldMessage::Scan(_, scan) => assert!(scan.ranges_m().len() >= 2 && scan.angle_increment_rad.is_finite()),
         WorldMessage::Clock(_) => {}

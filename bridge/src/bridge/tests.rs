@@ -143,8 +143,8 @@ impl World {
             if ms.is_multiple_of(50) {
                 let mut transforms = Transforms { len: 6, ..Default::default() };
                 transforms.header.stamp = Stamp(ms as i64 * 1_000_000);
-                for link in &mut transforms.links[..6] {
-                    (link.parent, link.child) =
+                for transform in &mut transforms.transforms[..6] {
+                    (transform.parent_frame, transform.child_frame) =
                         (RobotFrame::BaseFootprint as u32, RobotFrame::BaseLink as u32);
                 }
                 bridge.publish(FleetMessage::Transforms(robot, &transforms));

@@ -8,7 +8,7 @@ use super::relay::TopicRelay;
 use super::services::ServiceRelay;
 use super::writers::TopicWriters;
 use crate::config::{BridgeConfig, DdsConfig};
-use crate::fleet_topics::{FleetMessage, FleetPublisher, FleetTopic, LinkTransformPolicy};
+use crate::fleet_topics::{FleetMessage, FleetPublisher, FleetTopic, RobotTransformPolicy};
 use crate::input::Input;
 use crate::relay::{ReceivedMessage, RosCommand, RosEvent};
 use crate::transport::Transport;
@@ -90,9 +90,9 @@ impl DdsEndpoint {
             .into_iter()
             .map(|input| factory.input_reader(&input).map(|reader| (input, reader)))
             .collect::<Result<Vec<_>, EndpointError>>()?;
-        let link_transforms =
-            if is_external { LinkTransformPolicy::ByRobots } else { LinkTransformPolicy::Split };
-        let mut publisher = FleetPublisher::new(config.frame_names, &robots, link_transforms);
+        let robot_transforms =
+            if is_external { RobotTransformPolicy::ByRobots } else { RobotTransformPolicy::Split };
+        let mut publisher = FleetPublisher::new(config.frame_names, &robots, robot_transforms);
         publisher.set_odometry_sigmas(config.odometry_sigmas);
         publisher.set_repetition(dds.repetition());
         let state = EndpointState {

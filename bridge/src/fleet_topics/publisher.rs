@@ -1,8 +1,8 @@
 //! Selects the topics of a message of the fleet, and encodes the message for each.
 
+mod fixed_frames;
 mod json;
 mod repeated;
-mod static_links;
 
 use super::changed_area::ChangedAreaFinder;
 use super::changed_tiles::ChangedTileFinder;
@@ -32,7 +32,7 @@ const MAP_TRANSFORMS_PERIOD: Duration = Duration::from_secs(1);
 pub enum FleetMessage<'a> {
     /// A robot's laser scan: `/robotN/scan`.
     Scan(RobotId, &'a Scan),
-    /// The transforms between a robot's own links: `/tf`, and `/tf_static` on DDS.
+    /// The transforms between a robot's own frames: `/tf`, and `/tf_static` on DDS.
     Transforms(RobotId, &'a Transforms),
     /// A robot's wheel odometry: `/robotN/odom`.
     Odometry(RobotId, &'a Odometry),
@@ -72,9 +72,9 @@ pub trait TopicSink {
     fn is_subscribed(&self, topic: FleetTopic) -> bool;
 }
 
-/// How the transforms between a robot's own links are published.
+/// How the transforms between a robot's own frames are published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LinkTransformPolicy {
+pub enum RobotTransformPolicy {
     /// All of them on `/tf`, because Unity's connector listens to that alone; the fixed ones on `/tf_static` too.
     OnTf,
     /// The moving ones on `/tf`, the fixed ones once on `/tf_static`.
@@ -122,11 +122,11 @@ pub struct FleetPublisher {
     odometry: OdometryCovariances,
     /// The transforms map -> odom if they are repeated; otherwise they are sent with each of SLAM's answers.
     repeated: Option<RepeatedTransforms>,
-    link_transforms: LinkTransformPolicy,
-    /// The transforms that never change; empty if they are [`LinkTransformPolicy::ByRobots`].
+    robot_transforms: RobotTransformPolicy,
+    /// The transforms that never change; empty if they are [`RobotTransformPolicy::ByRobots`].
     static_transforms: StaticTransformSet,
-    /// Whether each robot's fixed links are in the set.
-    has_fixed_links: Vec<bool>,
+    /// Whether each robot's fixed frames are in the set.
+    has_fixed_frames: Vec<bool>,
     map_transforms: Option<MapTransforms>,
     map_transforms_due: Option<Monotonic>,
     now: Stamp,
@@ -134,7 +134,7 @@ pub struct FleetPublisher {
 
 impl FleetPublisher {
     /// Creates the publisher of a fleet.
-    pub fn new(style: NameStyle, robots: &RobotNames, link_transforms: LinkTransformPolicy) -> Self {
+    pub fn new(style: NameStyle, robots: &RobotNames, robot_transforms: RobotTransformPolicy) -> Self {
         Self {
             robots: robots.clone(),
             names: FrameNames::new(style, robots),
@@ -145,9 +145,9 @@ impl FleetPublisher {
                 robots: vec![OdometryCovariance::default(); robots.count()],
             },
             repeated: None,
-            link_transforms,
+            robot_transforms,
             static_transforms: StaticTransformSet::default(),
-            has_fixed_links: vec![false; robots.count()],
+            has_fixed_frames: vec![false; robots.count()],
             map_transforms: None,
             map_transforms_due: None,
             now: Stamp(0),
@@ -162,7 +162,7 @@ impl FleetPublisher {
     /// Repeats the transforms map -> odom from now on, by [`FleetPublisher::repeat_transforms`], dated ahead.
     pub fn set_repetition(&mut self, repetition: Repetition) {
         let robot_count = self.robots.count();
-        let is_external = self.link_transforms == LinkTransformPolicy::ByRobots;
+        let is_external = self.robot_transforms == RobotTransformPolicy::ByRobots;
         self.repeated = Some(RepeatedTransforms {
             repeater: CorrectionRepeater::new(repetition, robot_count),
             frames: is_external.then(|| OdomFrames::new(robot_count)),
@@ -302,24 +302,24 @@ impl FleetPublisher {
 
     fn publish_links(&mut self, robot: RobotId, transforms: &Transforms, sink: &mut impl TopicSink) {
         let names = &self.names;
-        match self.link_transforms {
-            LinkTransformPolicy::OnTf => {
+        match self.robot_transforms {
+            RobotTransformPolicy::OnTf => {
                 let encode = |to: &mut Writer<'_>| write::transforms(to, names, robot, transforms);
                 sink.send(FleetTopic::Transforms, None, encode);
-                self.publish_fixed_links(robot, transforms, sink);
+                self.publish_fixed_frames(robot, transforms, sink);
             }
-            LinkTransformPolicy::Split => {
+            RobotTransformPolicy::Split => {
                 sink.send(FleetTopic::Transforms, None, |to| {
-                    write::some_transforms(to, names, &[(robot, transforms)], |link| !link.is_fixed());
+                    write::some_transforms(to, names, &[(robot, transforms)], |frame| !frame.is_fixed());
                 });
-                self.publish_fixed_links(robot, transforms, sink);
+                self.publish_fixed_frames(robot, transforms, sink);
             }
-            LinkTransformPolicy::ByRobots => {}
+            RobotTransformPolicy::ByRobots => {}
         }
     }
 
     fn publish_correction(&mut self, robot: RobotId, correction: &Correction, sink: &mut impl TopicSink) {
-        if self.link_transforms == LinkTransformPolicy::ByRobots {
+        if self.robot_transforms == RobotTransformPolicy::ByRobots {
             // Nobody else may say the time there.
             self.now = self.now.max(correction.header.stamp);
         }

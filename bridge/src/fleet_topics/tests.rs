@@ -52,8 +52,8 @@ fn ms(ms: u64) -> Monotonic {
 }
 
 /// A publisher of two robots that repeats transforms for a second, 200 ms ahead.
-fn publisher(link_transforms: LinkTransformPolicy) -> FleetPublisher {
-    let mut publisher = FleetPublisher::new(NameStyle::Flat, &2.into(), link_transforms);
+fn publisher(robot_transforms: RobotTransformPolicy) -> FleetPublisher {
+    let mut publisher = FleetPublisher::new(NameStyle::Flat, &2.into(), robot_transforms);
     let repetition = Repetition { tolerance: Duration::from_millis(200), hold: Duration::from_secs(1) };
     publisher.set_repetition(repetition);
     publisher
@@ -78,7 +78,7 @@ fn payload(message: &impl Message) -> Vec<u8> {
 
 #[test]
 fn the_whole_chain_is_repeated_and_dated_ahead() {
-    let (mut publisher, mut sent) = (publisher(LinkTransformPolicy::Split), Sent::default());
+    let (mut publisher, mut sent) = (publisher(RobotTransformPolicy::Split), Sent::default());
     let mut transforms = MapTransforms::default();
     transforms.robots[0] = MapTransform { known: 1, ..MapTransform::default() };
     publisher.publish(FleetMessage::MapTransforms(&transforms), &mut sent);
@@ -108,7 +108,7 @@ fn external_robots_get_map_to_odom_in_their_own_tree() {
     let answer = correction(TrackingState::Tracking);
     // The transforms of both robots at the answer, after these messages of theirs.
     let chains = |messages: &[(Input, Vec<u8>)]| {
-        let (mut publisher, mut sent) = (publisher(LinkTransformPolicy::ByRobots), Sent::default());
+        let (mut publisher, mut sent) = (publisher(RobotTransformPolicy::ByRobots), Sent::default());
         messages.iter().for_each(|(input, payload)| publisher.learn_frames(*input, payload));
         [1, 2].iter().for_each(|number| publisher.receive_correction(robot(*number), &answer, ms(0)));
         publisher.repeat_transforms(ms(0), &mut sent);
@@ -130,7 +130,7 @@ fn external_robots_get_map_to_odom_in_their_own_tree() {
 
 #[test]
 fn odometry_has_covariances() {
-    let (mut publisher, mut sent) = (publisher(LinkTransformPolicy::Split), Sent::default());
+    let (mut publisher, mut sent) = (publisher(RobotTransformPolicy::Split), Sent::default());
     publisher.set_odometry_sigmas(OdometrySigmas { m_per_m: 0.05, rad_per_rad: 0.02, rad_per_m: 0.01 });
     for x_m in [0.0, 1.0] {
         let odometry = msg::Odometry { odom_from_base: Pose2::new(x_m, 0.0, 0.0), ..Default::default() };

@@ -1,7 +1,7 @@
 //! Checks of the numbers in sensor data from outside: what is accepted is finite and within physical bounds.
 
 use msg::pose::yaw_of_quaternion;
-use msg::{BEAMS_MAX, Header, LinkTransform, Pose2, RobotFrame, Scan};
+use msg::{BEAMS_MAX, Header, Pose2, RobotFrame, RobotFrameTransform, Scan};
 use ros_messages::read::Transform;
 use std::f64::consts::TAU;
 use thiserror::Error;
@@ -145,11 +145,11 @@ pub fn check_scan(scan: &mut Scan) -> Result<(), ScanError> {
 }
 
 /// Checks a transform's numbers and normalises its quaternion.
-pub fn check_link(
+pub fn check_transform(
     parent: RobotFrame,
     child: RobotFrame,
     transform: &Transform<'_>,
-) -> Result<LinkTransform, TransformError> {
+) -> Result<RobotFrameTransform, TransformError> {
     let is_near = |value: &&f64| value.abs() <= DISTANCE_MAX_M;
     if let Some(value) = transform.translation.iter().find(|value| !is_near(value)) {
         return Err(TransformError::Translation { value_m: *value });
@@ -159,9 +159,9 @@ pub fn check_link(
     if !is_unit {
         return Err(TransformError::Rotation { rotation_xyzw: transform.rotation });
     }
-    Ok(LinkTransform {
-        parent: parent as u32,
-        child: child as u32,
+    Ok(RobotFrameTransform {
+        parent_frame: parent as u32,
+        child_frame: child as u32,
         translation_m: transform.translation,
         rotation_xyzw: transform.rotation.map(|value| value / length),
     })
@@ -169,15 +169,19 @@ pub fn check_link(
 
 /// Returns the pose on the floor that a transform gives.
 pub(crate) fn floor_pose(transform: &Transform<'_>) -> Result<Pose2, TransformError> {
-    planar_pose(&check_link(RobotFrame::Odom, RobotFrame::BaseFootprint, transform)?)
+    planar_pose(&check_transform(RobotFrame::Odom, RobotFrame::BaseFootprint, transform)?)
 }
 
 /// Returns the pose on the floor. Fails if the robot leans.
-pub fn planar_pose(link: &LinkTransform) -> Result<Pose2, TransformError> {
-    let [x, y, ..] = link.rotation_xyzw;
+pub fn planar_pose(transform: &RobotFrameTransform) -> Result<Pose2, TransformError> {
+    let [x, y, ..] = transform.rotation_xyzw;
     let up = 1.0 - 2.0 * (x * x + y * y);
     if up < TILT_MAX_RAD.cos() {
         return Err(TransformError::Tilt { tilt_deg: up.clamp(-1.0, 1.0).acos().to_degrees() });
     }
-    Ok(Pose2::new(link.translation_m[0], link.translation_m[1], yaw_of_quaternion(link.rotation_xyzw)))
+    Ok(Pose2::new(
+        transform.translation_m[0],
+        transform.translation_m[1],
+        yaw_of_quaternion(transform.rotation_xyzw),
+    ))
 }

@@ -190,8 +190,10 @@ fn world() -> (ExternalWorld, Messages) {
                 format!("{robot} odometry {:.2} {:.2} {v:.2} {w:.2}", pose.x_m, pose.yaw_rad)
             }
             WorldMessage::Transforms(robot, transforms) => {
-                let names =
-                    transforms.links().iter().map(|link| RobotFrame::from_code(link.child).unwrap().name());
+                let names = transforms
+                    .transforms()
+                    .iter()
+                    .map(|transform| RobotFrame::from_code(transform.child_frame).unwrap().name());
                 format!("{robot} transforms {}", names.collect::<Vec<_>>().join(" "))
             }
             WorldMessage::Clock(clock) => format!("clock {}", clock.header.stamp.0),

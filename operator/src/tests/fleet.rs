@@ -1,7 +1,7 @@
 //! A bridge on a thread of its own, with a test world in place of simulators, SLAM and merging.
 
 use bridge::{Bridge, BridgeConfig, FleetMessage, RobotNames, process_clock, serve};
-use msg::{LinkTransform, Pose2, RobotFrame, RobotId, Scan, Stamp, Transforms};
+use msg::{Pose2, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp, Transforms};
 use nav::Twist;
 use nav::test_world::{RANGE_MAX_M, RANGE_MIN_M, TestWorld, beam_angle_rad};
 use std::cell::RefCell;
@@ -107,7 +107,8 @@ fn transforms(header: msg::Header, odom_from_base: Pose2) -> Transforms {
     let (translation_m, rotation_xyzw) = bridge::ros::write::spatial(odom_from_base);
     let mut message = Transforms { header, len: 1, ..Default::default() };
     let (parent, child) = (RobotFrame::Odom as u32, RobotFrame::BaseFootprint as u32);
-    message.links[0] = LinkTransform { parent, child, translation_m, rotation_xyzw };
+    message.transforms[0] =
+        RobotFrameTransform { parent_frame: parent, child_frame: child, translation_m, rotation_xyzw };
     message
 }
 

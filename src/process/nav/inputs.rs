@@ -6,8 +6,8 @@ use crate::run::Run;
 use ::nav::{LocalizationUncertainty, MapView, NavigatedRobot, NavigationInput, RobotObservation, ScanView};
 use msg::pose::yaw_of_quaternion;
 use msg::{
-    Correction, DenseMap, ExclusionZone, LinkTransform, MapTransforms, Monotonic, Pose2, RobotFrame, RobotId,
-    Scan, Stamp, TrackingState, Transforms,
+    Correction, DenseMap, ExclusionZone, MapTransforms, Monotonic, Pose2, RobotFrame, RobotFrameTransform,
+    RobotId, Scan, Stamp, TrackingState, Transforms,
 };
 
 /// Oldest pose that a robot is driven by, nanoseconds: ten periods of its odometry.
@@ -101,7 +101,7 @@ impl<P: Ports> Inputs<P> {
                 state.scan = Some((Box::new(*scan), now.min(scan.header.sent)));
             }
             if let Some(links) = links.newest() {
-                state.set_links(&links, now.min(links.header.sent));
+                state.set_frames(&links, now.min(links.header.sent));
             }
             if let Some(correction) = corrections.newest() {
                 let is_located = correction.state() != TrackingState::Lost && correction.nodes > 0;
@@ -200,16 +200,18 @@ impl<P: Ports> Inputs<P> {
 }
 
 impl RobotState {
-    fn set_links(&mut self, links: &Transforms, now: Monotonic) {
-        let child = |link: RobotFrame| links.links().iter().find(|known| known.child == link as u32);
+    fn set_frames(&mut self, transforms: &Transforms, now: Monotonic) {
+        let child = |frame: RobotFrame| {
+            transforms.transforms().iter().find(|known| known.child_frame == frame as u32)
+        };
         if let Some(base) =
-            child(RobotFrame::BaseFootprint).filter(|base| base.parent == RobotFrame::Odom as u32)
+            child(RobotFrame::BaseFootprint).filter(|base| base.parent_frame == RobotFrame::Odom as u32)
         {
             self.odom_from_base = Some((planar_pose(base), now));
         }
         let base_from_link = child(RobotFrame::BaseLink).map_or(Pose2::IDENTITY, planar_pose);
         if let Some(scan) = child(RobotFrame::BaseScan) {
-            let is_of_link = scan.parent == RobotFrame::BaseLink as u32;
+            let is_of_link = scan.parent_frame == RobotFrame::BaseLink as u32;
             let parent = if is_of_link { base_from_link } else { Pose2::IDENTITY };
             self.base_from_scan = parent * planar_pose(scan);
         }
@@ -217,7 +219,7 @@ impl RobotState {
 }
 
 /// Returns the pose on the floor of a link in its parent.
-fn planar_pose(link: &LinkTransform) -> Pose2 {
+fn planar_pose(link: &RobotFrameTransform) -> Pose2 {
     Pose2::new(link.translation_m[0], link.translation_m[1], yaw_of_quaternion(link.rotation_xyzw))
 }
 

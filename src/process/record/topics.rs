@@ -8,7 +8,7 @@ use crate::clock::Epoch;
 use crate::recording_files::{RecordingCounts, RecordingFiles};
 use crate::run::Run;
 use ::bridge::{
-    Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransformPolicy, OUTGOING_TOPICS, TopicSink,
+    Delivery, FleetMessage, FleetPublisher, FleetTopic, OUTGOING_TOPICS, RobotTransformPolicy, TopicSink,
 };
 use ::recording::{Durability, RecordingWriter, TopicIndex, WriteError};
 use msg::{CommandSource, GroundTruth, Monotonic, Odometry, RobotFrame, RobotId, Stamp};
@@ -114,7 +114,7 @@ impl Recorder {
         files: RecordingFiles,
     ) -> Result<Self, WriteError> {
         let (robots, config) = (run.config.robot_names(), run.config.bridge_config());
-        let mut publisher = FleetPublisher::new(config.frame_names, &robots, LinkTransformPolicy::Split);
+        let mut publisher = FleetPublisher::new(config.frame_names, &robots, RobotTransformPolicy::Split);
         publisher.set_odometry_sigmas(config.odometry_sigmas);
         let mut file = FileTopics::new(&robots, description, files, run.config.recording.split_bytes());
         file.begin()?;

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::testing::{house, within};
-use msg::{LinkTransform, MapTransform, RobotFrame, Role, TrackingState};
+use msg::{MapTransform, RobotFrame, RobotFrameTransform, Role, TrackingState};
 
 const MS: u64 = 1_000_000;
 
@@ -44,7 +44,8 @@ fn the_statistics_of_one_robot_are_those_of_its_messages() {
         };
         telemetry.add_correction(robot(1), &correction, Monotonic(sent.0 + 12 * MS));
         let mut transforms = Transforms { header, len: 1, ..Default::default() };
-        transforms.links[0] = LinkTransform { child: RobotFrame::BaseFootprint as u32, ..Default::default() };
+        transforms.transforms[0] =
+            RobotFrameTransform { child_frame: RobotFrame::BaseFootprint as u32, ..Default::default() };
         telemetry.add_transforms(robot(1), &transforms, Monotonic(sent.0 + MS));
         let mut map = house();
         map.header.scan_sent = sent;

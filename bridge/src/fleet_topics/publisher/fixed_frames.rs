@@ -1,4 +1,4 @@
-//! The transforms that never change: the fleet's fixed links, and those of other publishers.
+//! The transforms that never change: the fleet's fixed frames, and those of other publishers.
 
 use super::{FleetPublisher, TopicSink};
 use crate::fleet_topics::table::FleetTopic;
@@ -11,17 +11,18 @@ use ros_messages::{Message as _, TransformStamped};
 impl FleetPublisher {
     /// Publishes the fixed transforms of all robots seen so far, when a robot is seen first: the newest message is the
     /// only one kept.
-    pub(super) fn publish_fixed_links(
+    pub(super) fn publish_fixed_frames(
         &mut self,
         robot: RobotId,
         transforms: &Transforms,
         sink: &mut impl TopicSink,
     ) {
-        if std::mem::replace(&mut self.has_fixed_links[robot.index()], true) {
+        if std::mem::replace(&mut self.has_fixed_frames[robot.index()], true) {
             return;
         }
-        for link in transforms.links() {
-            let (parent, child) = (RobotFrame::from_code(link.parent), RobotFrame::from_code(link.child));
+        for transform in transforms.transforms() {
+            let (parent, child) =
+                (RobotFrame::from_code(transform.parent_frame), RobotFrame::from_code(transform.child_frame));
             let (Some(parent), Some(child)) = (parent, child.filter(|child| child.is_fixed())) else {
                 continue;
             };
@@ -29,8 +30,8 @@ impl FleetPublisher {
                 stamp: transforms.header.stamp,
                 frame_id: self.names.robot_frame(robot, parent).into(),
                 child_frame_id: self.names.robot_frame(robot, child).into(),
-                translation: link.translation_m,
-                rotation: link.rotation_xyzw,
+                translation: transform.translation_m,
+                rotation: transform.rotation_xyzw,
             });
         }
         self.send_static_transforms(sink);
