@@ -38,9 +38,9 @@ fn read(path: &Path) -> Vec<Line> {
     lines.collect()
 }
 
-fn feed(slam: &mut Slam, line: &Line) -> msg::Correction {
+fn feed(slam: &mut Slam, line: &Line) -> msg::PoseEstimate {
     slam.add_odometry(&line.0);
-    slam.process(&line.1).correction
+    slam.process(&line.1).pose_estimate
 }
 
 fn cpu_ms() -> f64 {
@@ -107,7 +107,7 @@ fn put_down(session: &Session, lines: &[Line], costs: &mut Vec<f64>) -> (usize, 
     let kept = Some(session.clone());
     let mut slam = Slam::begin(recorded_log_slam(), kept, SlamMode::Localization, InitialPose::Unknown);
     for (n, line) in lines.iter().enumerate() {
-        let correction = feed(&mut slam, line);
+        let pose_estimate = feed(&mut slam, line);
         let (before, searches) = (cpu_ms(), slam.back_counts().relocalization.searches);
         slam.work();
         if slam.back_counts().relocalization.searches > searches {
@@ -115,7 +115,7 @@ fn put_down(session: &Session, lines: &[Line], costs: &mut Vec<f64>) -> (usize, 
         }
         if slam.back_counts().relocalization.accepted > 0 {
             let pose = slam.back().map_from_base().unwrap_or_default();
-            return (n + 1, Some((correction.header.stamp, pose)));
+            return (n + 1, Some((pose_estimate.header.stamp, pose)));
         }
     }
     (lines.len(), None)

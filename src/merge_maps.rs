@@ -28,7 +28,7 @@ struct Prefix {
     reserved: u32,
     /// Start of the run, which tells it from others in the same folder.
     run: u64,
-    correction_received: Monotonic,
+    pose_estimate_received: Monotonic,
     map: MapHeader,
 }
 
@@ -38,7 +38,7 @@ pub struct HeldMap {
     /// The newest map that its SLAM sent.
     pub map: TileMap,
     /// Time of the newest answer of its SLAM to a scan.
-    pub correction_received: Monotonic,
+    pub pose_estimate_received: Monotonic,
 }
 
 /// Reason why a file cannot be used.
@@ -132,9 +132,9 @@ impl<S: Storage> MapFiles<S> {
         }
     }
 
-    fn encode(&self, HeldMap { map, correction_received }: &HeldMap) -> Vec<u8> {
-        let (run, correction_received) = (self.run, *correction_received);
-        let prefix = Prefix { version: VERSION, reserved: 0, run, correction_received, map: map.header };
+    fn encode(&self, HeldMap { map, pose_estimate_received }: &HeldMap) -> Vec<u8> {
+        let (run, pose_estimate_received) = (self.run, *pose_estimate_received);
+        let prefix = Prefix { version: VERSION, reserved: 0, run, pose_estimate_received, map: map.header };
         let mut bytes = bytemuck::bytes_of(&prefix).to_vec();
         map.tiles().for_each(|tile| bytes.extend_from_slice(bytemuck::bytes_of(&**tile)));
         bytes
@@ -160,7 +160,7 @@ impl<S: Storage> MapFiles<S> {
             }
             map.set(x, y, Some(tile.into()));
         }
-        let held = HeldMap { map, correction_received: prefix.correction_received };
+        let held = HeldMap { map, pose_estimate_received: prefix.pose_estimate_received };
         if held.map.header.is_valid() { Ok(held) } else { Err(Unusable::Map) }
     }
 }
@@ -196,7 +196,7 @@ mod tests {
             assert!(map.grow_to(IndexRect::single(x, y), MAP_TILES_MAX));
             map.get_mut(x, y).unwrap().cells[9] = cell;
         }
-        HeldMap { map, correction_received: Monotonic(11) }
+        HeldMap { map, pose_estimate_received: Monotonic(11) }
     }
 
     #[test]
@@ -211,7 +211,7 @@ mod tests {
         let restored = files.restore([robot()].into_iter());
         let (of, read) = &restored[0];
         assert_eq!(
-            (*of, read.map.header, read.correction_received),
+            (*of, read.map.header, read.pose_estimate_received),
             (robot(), map().map.header, Monotonic(11))
         );
         assert!(read.map.tiles().eq(map().map.tiles()));

@@ -7,7 +7,7 @@ use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
 use formats::map_file;
 use msg::{
-    Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MapTransforms, MergeEdges, Monotonic, Pose2,
+    DenseMap, EdgeState, FleetStats, GroundTruth, MapTransforms, MergeEdges, Monotonic, Pose2, PoseEstimate,
     RobotId, Role, TrackingState, VelocityCommand,
 };
 use reports::EdgeView;
@@ -41,7 +41,7 @@ struct MapWatch {
 /// Reader of one robot's poses.
 struct RobotWatch {
     truths: Reader<GroundTruth>,
-    corrections: Reader<Correction>,
+    pose_estimates: Reader<PoseEstimate>,
     commands: Reader<VelocityCommand>,
     command: Option<VelocityCommand>,
     world_from_base: Option<Pose2>,
@@ -51,11 +51,11 @@ struct RobotWatch {
 
 impl RobotWatch {
     fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
-        let (truths, corrections) =
-            (node.reader(&channel::truth(robot))?, node.reader(&channel::correction(robot))?);
+        let (truths, pose_estimates) =
+            (node.reader(&channel::truth(robot))?, node.reader(&channel::pose_estimate(robot))?);
         Ok(Self {
             truths,
-            corrections,
+            pose_estimates,
             commands: node.reader(&channel::command(robot))?,
             command: None,
             world_from_base: None,
@@ -64,7 +64,7 @@ impl RobotWatch {
         })
     }
 
-    /// Receives all waiting messages; the newest correction says whether the robot's map is `unreliable`.
+    /// Receives all waiting messages; the newest pose estimate says whether the robot's map is `unreliable`.
     fn poll(&mut self, robot: RobotId, unreliable: &mut UnreliableMaps) {
         if let Some(command) = self.commands.newest() {
             self.command = Some(*command);
@@ -72,17 +72,17 @@ impl RobotWatch {
         if let Some(truth) = self.truths.newest() {
             self.world_from_base = Some(truth.world_from_base);
         }
-        if let Some(correction) = self.corrections.newest() {
-            self.map_from_odom = kept_place(&correction, self.map_from_odom);
-            self.map_from_base = Some(correction.map_from_base);
-            unreliable.record(robot, &correction);
+        if let Some(pose_estimate) = self.pose_estimates.newest() {
+            self.map_from_odom = kept_place(&pose_estimate, self.map_from_odom);
+            self.map_from_base = Some(pose_estimate.map_from_base);
+            unreliable.record(robot, &pose_estimate);
         }
     }
 }
 
 /// Returns where `odom` lies in a robot's map, for a SLAM that is started again. A robot that is lost is nowhere: a restarted SLAM
 /// would take its last place for true.
-pub(crate) fn kept_place(newest: &Correction, before: Option<Pose2>) -> Option<Pose2> {
+pub(crate) fn kept_place(newest: &PoseEstimate, before: Option<Pose2>) -> Option<Pose2> {
     let is_lost = newest.state() == TrackingState::Lost;
     newest.map_from_odom().or(before).filter(|_| !is_lost)
 }

@@ -5,7 +5,7 @@ use crate::client::{Client, EVERYTHING};
 use bridge::{Bridge, BridgeConfig, FleetMessage, serve};
 use bytemuck::Zeroable;
 use mr_slam::clock::now;
-use msg::{Clock, Correction, GridHeader, GridView, RobotId, Scan, Transforms};
+use msg::{Clock, GridHeader, GridView, PoseEstimate, RobotId, Scan, Transforms};
 use stats_alloc::Region;
 use std::error::Error;
 use std::net::Ipv4Addr;
@@ -85,7 +85,7 @@ pub fn allocations(rounds: usize) -> Result<(usize, usize), Box<dyn Error>> {
         let shape = GridHeader { width: 200, height: 200, resolution_m: 0.05, ..GridHeader::default() };
         let round = || {
             bridge.publish(FleetMessage::Transforms(robot, &Transforms::default()));
-            bridge.publish(FleetMessage::Correction(robot, &Correction::default()));
+            bridge.publish(FleetMessage::PoseEstimate(robot, &PoseEstimate::default()));
             bridge.publish(FleetMessage::Clock(&Clock::default()));
             bridge.publish(FleetMessage::Scan(robot, &scan));
             bridge.publish(FleetMessage::Map(

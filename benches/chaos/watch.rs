@@ -121,15 +121,15 @@ fn record(run: &Run, to: &Shared) -> Result<(), Box<dyn Error>> {
     let node = Participant::open(&run.domain, Opener::of_fleet(Program::Launcher), "bench-watch")?;
     let mut readers = Vec::new();
     for robot in run.robots() {
-        readers.push((node.reader(&channel::correction(robot))?, node.reader(&channel::truth(robot))?));
+        readers.push((node.reader(&channel::pose_estimate(robot))?, node.reader(&channel::truth(robot))?));
     }
     while !to.is_over.load(Ordering::Relaxed) {
         {
             let mut robots = to.robots.lock().unwrap_or_else(PoisonError::into_inner);
             robots.resize_with(readers.len(), RobotRecord::default);
-            for ((corrections, truths), robot) in readers.iter_mut().zip(robots.iter_mut()) {
-                while let Some(correction) = corrections.receive() {
-                    robot.poses.push((now(), correction.header.stamp.0));
+            for ((pose_estimates, truths), robot) in readers.iter_mut().zip(robots.iter_mut()) {
+                while let Some(pose_estimate) = pose_estimates.receive() {
+                    robot.poses.push((now(), pose_estimate.header.stamp.0));
                 }
                 while let Some(truth) = truths.receive() {
                     let moves =

@@ -378,7 +378,7 @@ fn scan(
     });
     let (wall_ns, cpu_ns) = (wall.elapsed().as_nanos() as u64, thread_cpu_ns() - cpu);
     let step = step.expect("the scan was processed");
-    let nodes = step.correction.nodes;
+    let nodes = step.pose_estimate.nodes;
     (Took { wall_ns, cpu_ns, nodes, allocations: counted.count_total }, step)
 }
 

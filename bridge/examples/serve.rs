@@ -5,7 +5,7 @@
 use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve};
 use bytemuck::Zeroable;
 use msg::{
-    Clock, Correction, FleetStats, GridHeader, GridView, Header, Odometry, Pose2, RobotFrame,
+    Clock, FleetStats, GridHeader, GridView, Header, Odometry, Pose2, PoseEstimate, RobotFrame,
     RobotFrameTransform, RobotId, Scan, Stamp, Transforms,
 };
 use std::net::Ipv4Addr;
@@ -63,9 +63,9 @@ async fn fleet(bridge: Rc<Bridge>) {
             if tick % 10 == robot.index() as u64 {
                 bridge.publish(FleetMessage::Scan(robot, &scan(header)));
                 let state = msg::TrackingState::Tracking as u32;
-                bridge.publish(FleetMessage::Correction(
+                bridge.publish(FleetMessage::PoseEstimate(
                     robot,
-                    &Correction { header, state, ..Correction::default() },
+                    &PoseEstimate { header, state, ..PoseEstimate::default() },
                 ));
             }
         }

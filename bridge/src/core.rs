@@ -170,7 +170,7 @@ impl Core {
                 self.record_navigation(robot, report);
                 self.apply_goal_report(robot, report);
             }
-            FleetMessage::Correction(robot, correction) => self.record_goal_pose(robot, correction),
+            FleetMessage::PoseEstimate(robot, pose_estimate) => self.record_goal_pose(robot, pose_estimate),
             _ => {}
         }
         if let FleetMessage::ExplorationState(report) = message {

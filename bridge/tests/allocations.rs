@@ -5,7 +5,7 @@ use bridge::frame::{Parser, Side};
 use bridge::ros::{Message, Twist, encode};
 use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve, velocity_gate};
 use bytemuck::Zeroable;
-use msg::{Clock, Correction, FleetStats, GridHeader, GridView, Odometry, RobotId, Scan, Transforms};
+use msg::{Clock, FleetStats, GridHeader, GridView, Odometry, PoseEstimate, RobotId, Scan, Transforms};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use std::alloc::System;
 use std::cell::Cell;
@@ -120,7 +120,7 @@ fn a_message_in_steady_state_allocates_nothing() {
                 }
                 bridge.publish(FleetMessage::Stats(&stats));
                 bridge.publish(FleetMessage::Transforms(robot, &Transforms::default()));
-                bridge.publish(FleetMessage::Correction(robot, &Correction::default()));
+                bridge.publish(FleetMessage::PoseEstimate(robot, &PoseEstimate::default()));
                 bridge.publish(FleetMessage::Clock(&Clock::default()));
                 readers[0].stream.write_all(&twist).await.unwrap();
                 for reader in &mut readers {

@@ -63,7 +63,7 @@ fuzz_target!(|bytes: &[u8]| {
             scan.ranges_m[i] = range;
         }
         let step = slam.process(&scan);
-        assert!(step.correction.map_from_base.is_finite(), "{:?}", step.correction);
+        assert!(step.pose_estimate.map_from_base.is_finite(), "{:?}", step.pose_estimate);
         slam.work();
     }
     slam.finish();

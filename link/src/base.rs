@@ -10,7 +10,7 @@ use crate::scan::{DecimatedScan, ScanRate};
 use crate::table::Kind;
 use crate::wire::{BaseState, Chunk, Message, RobotState, WireError};
 use msg::tiles::ROBOT_TILES_MAX;
-use msg::{Correction, IndexRect, Monotonic, Submap, SubmapPoses, TileMap, Transforms, VelocityCommand};
+use msg::{IndexRect, Monotonic, PoseEstimate, Submap, SubmapPoses, TileMap, Transforms, VelocityCommand};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -25,7 +25,7 @@ const STOP_REPEAT_PERIOD: Duration = Duration::from_millis(20);
 #[derive(Debug)]
 pub enum BaseEvent {
     /// Pose in the robot's map.
-    Correction(Correction),
+    PoseEstimate(PoseEstimate),
     /// Frames of the robot.
     Transforms(Box<Transforms>),
     /// Scan with few beams.
@@ -162,7 +162,7 @@ impl BaseEnd {
                 self.robot_state = HeardState { newest: state, is_of_session: true };
                 self.is_list_due = is_new_run || state.list_of != self.peer.session;
             }
-            Message::Correction(correction) => events.push(BaseEvent::Correction(correction)),
+            Message::PoseEstimate(pose_estimate) => events.push(BaseEvent::PoseEstimate(pose_estimate)),
             Message::Transforms(transforms) => events.push(BaseEvent::Transforms(transforms)),
             Message::Scan(scan) => events.push(BaseEvent::Scan(scan)),
             Message::Chunk(chunk) => events.extend(self.receive_chunk(&chunk)),

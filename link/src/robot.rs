@@ -11,7 +11,8 @@ use crate::stop::{StopFollower, StopRequest};
 use crate::table::Kind;
 use crate::wire::{Message, RobotState, WireError};
 use msg::{
-    Correction, Header, MapHeader, Monotonic, Scan, Submap, SubmapPoses, TileMap, Transforms, VelocityCommand,
+    Header, MapHeader, Monotonic, PoseEstimate, Scan, Submap, SubmapPoses, TileMap, Transforms,
+    VelocityCommand,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -40,7 +41,7 @@ pub enum RobotEvent {
 /// Messages that wait for their time: the newest alone counts.
 #[derive(Debug, Default)]
 struct Newest {
-    correction: Option<Correction>,
+    pose_estimate: Option<PoseEstimate>,
     transforms: Option<Transforms>,
 }
 
@@ -160,8 +161,8 @@ impl RobotEnd {
     }
 
     /// Keeps the robot's newest pose until it is sent.
-    pub fn put_correction(&mut self, correction: &Correction) {
-        self.newest.correction = Some(*correction);
+    pub fn put_pose_estimate(&mut self, pose_estimate: &PoseEstimate) {
+        self.newest.pose_estimate = Some(*pose_estimate);
     }
 
     /// Keeps the robot's newest frames until they are sent.
@@ -245,8 +246,8 @@ impl RobotEnd {
             if let Some(transforms) = self.newest.transforms.take() {
                 self.peer.send(Message::Transforms(Box::new(transforms)), now, send);
             }
-            if let Some(correction) = self.newest.correction.take() {
-                self.peer.send(Message::Correction(correction), now, send);
+            if let Some(pose_estimate) = self.newest.pose_estimate.take() {
+                self.peer.send(Message::PoseEstimate(pose_estimate), now, send);
             }
         }
         if let Some(scan) = scan {

@@ -62,8 +62,8 @@ pub enum Waiting {
 pub enum Kind {
     /// Sign of life of a robot, and whether it knows what the base holds.
     RobotState = 1,
-    /// Pose in the robot's map, from channel `correction`.
-    Correction = 2,
+    /// Pose in the robot's map, from channel `pose_estimate`.
+    PoseEstimate = 2,
     /// Frames of the robot, from channel `transforms`.
     Transforms = 3,
     /// Piece of a part of the robot's map.
@@ -100,7 +100,7 @@ pub static TABLE: [Row; 9] = [
     row(Kind::BaseState, Direction::Down, Priority::Command, Waiting::NewestWins, "base state"),
     row(Kind::Velocity, Direction::Down, Priority::Command, Waiting::NewestWins, "velocity"),
     row(Kind::RobotState, Direction::Up, Priority::Command, Waiting::NewestWins, "robot state"),
-    row(Kind::Correction, Direction::Up, Priority::Pose, Waiting::NewestWins, "correction"),
+    row(Kind::PoseEstimate, Direction::Up, Priority::Pose, Waiting::NewestWins, "pose_estimate"),
     row(Kind::Transforms, Direction::Up, Priority::Pose, Waiting::NewestWins, "transforms"),
     row(Kind::Chunk, Direction::Up, Priority::Map, Waiting::Acknowledged, "map"),
     row(Kind::Held, Direction::Down, Priority::Map, Waiting::Acknowledged, "held parts"),
@@ -130,7 +130,7 @@ impl Kind {
             Self::BaseState => 0,
             Self::Velocity => 1,
             Self::RobotState => 2,
-            Self::Correction => 3,
+            Self::PoseEstimate => 3,
             Self::Transforms => 4,
             Self::Chunk => 5,
             Self::Held => 6,

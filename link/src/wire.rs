@@ -9,7 +9,7 @@ use crate::scan::{DecimatedScan, SCAN_BEAMS_MAX, ScanRate};
 pub use crate::size::{HEAD_BYTES, MESSAGE_MAX};
 use crate::table::Kind;
 use msg::{
-    Correction, Header, Monotonic, Pose2, RobotFrameTransform, Stamp, TRANSFORMS_MAX, Transforms,
+    Header, Monotonic, Pose2, PoseEstimate, RobotFrameTransform, Stamp, TRANSFORMS_MAX, Transforms,
     VelocityCommand,
 };
 
@@ -43,7 +43,7 @@ pub enum Message {
     /// Sign of life of a robot.
     RobotState(RobotState),
     /// Pose in the robot's map. Of its header only the stamp is sent.
-    Correction(Correction),
+    PoseEstimate(PoseEstimate),
     /// Frames of the robot. Of its header only the stamp is sent.
     Transforms(Box<Transforms>),
     /// Piece of a part of the map.
@@ -131,7 +131,7 @@ impl Message {
     pub fn kind(&self) -> Kind {
         match self {
             Self::RobotState(_) => Kind::RobotState,
-            Self::Correction(_) => Kind::Correction,
+            Self::PoseEstimate(_) => Kind::PoseEstimate,
             Self::Transforms(_) => Kind::Transforms,
             Self::Chunk(_) => Kind::Chunk,
             Self::Scan(_) => Kind::Scan,
@@ -193,7 +193,7 @@ impl Message {
             }
             Self::Scan(scan) => scan.write(to),
             Self::Velocity(command) => write_f64s(to, &[command.linear_m_s, command.angular_rad_s]),
-            Self::Correction(correction) => write_correction(to, correction),
+            Self::PoseEstimate(pose_estimate) => write_pose_estimate(to, pose_estimate),
             Self::Transforms(transforms) => write_transforms(to, transforms),
             Self::Chunk(chunk) => {
                 to.extend(chunk.key.to_bytes());
@@ -234,7 +234,7 @@ impl Message {
                 }
                 Self::Velocity(VelocityCommand { linear_m_s, angular_rad_s, ..Default::default() })
             }
-            Kind::Correction => Self::Correction(read_correction(from)?.ok_or(wrong)?),
+            Kind::PoseEstimate => Self::PoseEstimate(read_pose_estimate(from)?.ok_or(wrong)?),
             Kind::Transforms => Self::Transforms(Box::new(read_transforms(from)?.ok_or(wrong)?)),
             Kind::Chunk => Self::Chunk(read_chunk(from)?.ok_or(wrong)?),
             Kind::Held => {
@@ -268,30 +268,30 @@ fn write_pose(to: &mut Vec<u8>, pose: Pose2) {
     write_f64s(to, &[pose.x_m, pose.y_m, pose.yaw_rad]);
 }
 
-fn write_correction(to: &mut Vec<u8>, correction: &Correction) {
-    to.extend(correction.header.stamp.0.to_le_bytes());
-    to.extend(correction.scan_seq.to_le_bytes());
-    write_pose(to, correction.map_from_odom);
-    write_pose(to, correction.map_from_base);
-    correction.covariance.iter().for_each(|value| to.extend((*value as f32).to_le_bytes()));
-    to.extend([correction.state as u8, correction.map_from_odom_unknown as u8]);
-    to.extend(correction.nodes.to_le_bytes());
-    to.extend(correction.closures.to_le_bytes());
+fn write_pose_estimate(to: &mut Vec<u8>, pose_estimate: &PoseEstimate) {
+    to.extend(pose_estimate.header.stamp.0.to_le_bytes());
+    to.extend(pose_estimate.scan_seq.to_le_bytes());
+    write_pose(to, pose_estimate.map_from_odom);
+    write_pose(to, pose_estimate.map_from_base);
+    pose_estimate.covariance.iter().for_each(|value| to.extend((*value as f32).to_le_bytes()));
+    to.extend([pose_estimate.state as u8, pose_estimate.map_from_odom_unknown as u8]);
+    to.extend(pose_estimate.nodes.to_le_bytes());
+    to.extend(pose_estimate.closures.to_le_bytes());
 }
 
-fn read_correction(from: &mut Reader<'_>) -> Result<Option<Correction>, WireError> {
-    let mut correction =
-        Correction { header: header(from.i64()?), scan_seq: from.u64()?, ..Default::default() };
-    (correction.map_from_odom, correction.map_from_base) = (from.pose()?, from.pose()?);
-    for value in &mut correction.covariance {
+fn read_pose_estimate(from: &mut Reader<'_>) -> Result<Option<PoseEstimate>, WireError> {
+    let mut pose_estimate =
+        PoseEstimate { header: header(from.i64()?), scan_seq: from.u64()?, ..Default::default() };
+    (pose_estimate.map_from_odom, pose_estimate.map_from_base) = (from.pose()?, from.pose()?);
+    for value in &mut pose_estimate.covariance {
         *value = f64::from(from.f32()?);
     }
     let [state, unknown] = from.array()?;
-    (correction.state, correction.map_from_odom_unknown) = (state.into(), unknown.into());
-    (correction.nodes, correction.closures) = (from.u32()?, from.u32()?);
-    let is_finite = correction.map_from_odom.is_finite() && correction.map_from_base.is_finite();
-    let is_finite = is_finite && correction.covariance.iter().all(|value| value.is_finite());
-    Ok(Some(correction).filter(|_| is_finite))
+    (pose_estimate.state, pose_estimate.map_from_odom_unknown) = (state.into(), unknown.into());
+    (pose_estimate.nodes, pose_estimate.closures) = (from.u32()?, from.u32()?);
+    let is_finite = pose_estimate.map_from_odom.is_finite() && pose_estimate.map_from_base.is_finite();
+    let is_finite = is_finite && pose_estimate.covariance.iter().all(|value| value.is_finite());
+    Ok(Some(pose_estimate).filter(|_| is_finite))
 }
 
 /// Writes the frames with single precision: below a micrometre within ten metres.

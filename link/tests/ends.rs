@@ -4,7 +4,7 @@ use link::leadership::SILENCE_MAX;
 use link::{BaseEnd, BaseEvent, Kind, RobotEnd, RobotEvent, ScanRate, SenderConfig, StopRequest};
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
-    Correction, IndexRect, MapHeader, Monotonic, Pose2, Scan, Stamp, Submap, SubmapPoses, TileMap,
+    IndexRect, MapHeader, Monotonic, Pose2, PoseEstimate, Scan, Stamp, Submap, SubmapPoses, TileMap,
     Transforms, VelocityCommand,
 };
 
@@ -34,7 +34,7 @@ struct Machines {
     velocities: Vec<f64>,
     is_stopped: bool,
     /// What the base has got.
-    corrections: Vec<Correction>,
+    pose_estimates: Vec<PoseEstimate>,
     submaps: Vec<u32>,
     /// Numbers of beams of the scans.
     scans: Vec<usize>,
@@ -51,7 +51,7 @@ impl Machines {
             up_bytes: 0,
             velocities: Vec::new(),
             is_stopped: false,
-            corrections: Vec::new(),
+            pose_estimates: Vec::new(),
             submaps: Vec::new(),
             scans: Vec::new(),
         }
@@ -91,7 +91,7 @@ impl Machines {
             self.up_bytes += bytes.len();
             for event in self.base.receive(&bytes, self.base_now()).unwrap() {
                 match event {
-                    BaseEvent::Correction(correction) => self.corrections.push(correction),
+                    BaseEvent::PoseEstimate(pose_estimate) => self.pose_estimates.push(pose_estimate),
                     BaseEvent::Submap(id) => self.submaps.push(id),
                     BaseEvent::Scan(scan) => self.scans.push(scan.ranges_m.len()),
                     _ => {}
@@ -111,10 +111,10 @@ impl Machines {
         for _ in 0..ms / STEP_MS {
             self.now_ms += STEP_MS;
             let (now, mut up) = (self.robot_now(), Vec::new());
-            let mut correction =
-                Correction { map_from_base: Pose2::new(1.0, 2.0, 0.0), ..Correction::default() };
-            correction.header.stamp = Stamp(now.0 as i64);
-            self.robot.put_correction(&correction);
+            let mut pose_estimate =
+                PoseEstimate { map_from_base: Pose2::new(1.0, 2.0, 0.0), ..PoseEstimate::default() };
+            pose_estimate.header.stamp = Stamp(now.0 as i64);
+            self.robot.put_pose_estimate(&pose_estimate);
             self.robot.put_transforms(&Transforms::default());
             // A sensor of 10 Hz.
             if self.now_ms.is_multiple_of(100) && self.robot.is_scan_wanted(now) {
@@ -153,9 +153,9 @@ fn the_base_gets_the_robots_map_and_its_poses() {
     machines.run(8_000);
     assert!(machines.maps_are_equal());
     assert_eq!(machines.base.map().unwrap().tiles().count(), 40);
-    let count = machines.corrections.len();
+    let count = machines.pose_estimates.len();
     assert!((35..=41).contains(&count), "{count} poses in 8 s");
-    assert_eq!(machines.corrections[0].map_from_base, Pose2::new(1.0, 2.0, 0.0));
+    assert_eq!(machines.pose_estimates[0].map_from_base, Pose2::new(1.0, 2.0, 0.0));
 }
 
 #[test]
@@ -247,7 +247,7 @@ fn before_a_robots_first_state_its_messages_are_of_an_unknown_run() {
     let mut machines = Machines::new();
     machines.draw(0..50, 50);
     machines.run(500);
-    machines.robot.put_correction(&Correction::default());
+    machines.robot.put_pose_estimate(&PoseEstimate::default());
     let (now, mut states, mut others) = (machines.robot_now(), Vec::new(), Vec::new());
     machines.robot.poll(Monotonic(now.0 + 1_000_000_000), &mut |kind, bytes: &[u8]| {
         if kind == Kind::RobotState { &mut states } else { &mut others }.push(bytes.to_vec());

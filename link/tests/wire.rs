@@ -9,7 +9,7 @@ use link::wire::{
 };
 use link::{DecimatedScan, Envelope, Message, PartContent, PartKey, PartReceiver, ScanRate, WireError};
 use msg::{
-    Correction, Header, Monotonic, Pose2, RobotFrameTransform, Stamp, Submap, SubmapEdge, SubmapPoses,
+    Header, Monotonic, Pose2, PoseEstimate, RobotFrameTransform, Stamp, Submap, SubmapEdge, SubmapPoses,
     TRANSFORMS_MAX, Transforms, VelocityCommand,
 };
 use proptest::prelude::*;
@@ -55,7 +55,7 @@ fn messages() -> Vec<Message> {
         Message::Scan(Box::new(scan(SCAN_BEAMS_MAX))),
         Message::Scan(Box::new(scan(0))),
         Message::Velocity(VelocityCommand { linear_m_s: 0.2, angular_rad_s: -1.0, ..Default::default() }),
-        Message::Correction(Correction {
+        Message::PoseEstimate(PoseEstimate {
             header,
             scan_seq: 5,
             map_from_odom: Pose2::new(1.0, 2.0, 0.5),

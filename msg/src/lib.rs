@@ -74,7 +74,7 @@ pub use service::{
     CLOSURES_MAX, ClosureInfo, InitialPoseKind, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
     SlamResponse, TEXT_MAX, Text,
 };
-pub use slam::{Correction, MAP_OLD_AFTER_S, MapTransform, MapTransforms, TrackingState};
+pub use slam::{MAP_OLD_AFTER_S, MapTransform, MapTransforms, PoseEstimate, TrackingState};
 pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessStats, RobotStats};
 pub use submap::{
     SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses,
@@ -135,7 +135,7 @@ messages!(
     VelocityCommand,
     GroundTruth,
     Clock,
-    Correction,
+    PoseEstimate,
     MapTransforms,
     ProcessHealth,
     FleetStats,

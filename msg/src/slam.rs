@@ -1,4 +1,4 @@
-//! Results of SLAM and merging: corrections and transforms between maps.
+//! Results of SLAM and merging: pose estimates and transforms between maps.
 
 use crate::{Header, Monotonic, Pose2, ROBOTS_MAX};
 use bytemuck::{Pod, Zeroable};
@@ -40,24 +40,24 @@ impl TrackingState {
     }
 }
 
-/// Result of SLAM for one scan: the transform from odometry to the map.
+/// Result of SLAM for one scan: the pose in the map, its covariance and the transform from odometry to the map.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub struct Correction {
+pub struct PoseEstimate {
     /// Header whose `stamp` is that of the scan.
     pub header: Header,
     /// Number of the scan, its header's `seq`.
     pub scan_seq: u64,
     /// Time at which the scan left its simulator. Scan-to-pose latency is counted from it.
     pub scan_sent: Monotonic,
-    /// Transform to `robotK/map` from `odom`, which REP-105 assigns to SLAM. Read it by [`Correction::map_from_odom`].
+    /// Transform to `robotK/map` from `odom`, which REP-105 assigns to SLAM. Read it by [`PoseEstimate::map_from_odom`].
     pub map_from_odom: Pose2,
     /// Pose of `base_footprint` in `robotK/map` at the stamp.
     pub map_from_base: Pose2,
     /// Covariance of `map_from_base`, row-major upper triangle over (x, y, yaw): xx, xy, x yaw, yy,
     /// y yaw, yaw yaw; m, rad.
     pub covariance: [f64; 6],
-    /// Code of a [`TrackingState`]. Read it by [`Correction::state`].
+    /// Code of a [`TrackingState`]. Read it by [`PoseEstimate::state`].
     pub state: u32,
     /// Number of nodes in the pose graph.
     pub nodes: u32,
@@ -67,14 +67,14 @@ pub struct Correction {
     pub map_from_odom_unknown: u32,
 }
 
-impl Correction {
+impl PoseEstimate {
     /// Transform to `robotK/map` from `odom`; `None` if it is not known. While odometry is missing or the robot is not
     /// located, it is the last known one.
     pub fn map_from_odom(&self) -> Option<Pose2> {
         (self.map_from_odom_unknown == 0).then_some(self.map_from_odom)
     }
 
-    /// Returns the correction in another map frame, of which `other_from_map` is the pose of this one.
+    /// Returns the pose estimate in another map frame, of which `other_from_map` is the pose of this one.
     pub fn transformed(&self, other_from_map: Pose2) -> Self {
         let (sin, cos) = other_from_map.yaw_rad.sin_cos();
         let [xx, xy, x_yaw, yy, y_yaw, yaw_yaw] = self.covariance;
@@ -137,7 +137,7 @@ pub struct MapTransforms {
     pub robots: [MapTransform; ROBOTS_MAX],
     /// Time at which merging last received an answer of each robot's SLAM to a scan; zero: never. Until then the robot's
     /// part of the merged map is up to date.
-    pub correction_received: [Monotonic; ROBOTS_MAX],
+    pub pose_estimate_received: [Monotonic; ROBOTS_MAX],
 }
 
 /// Age from which a robot's part of the merged map counts as old, seconds. It reaches a reader up to 0.5 s late, and a
@@ -157,22 +157,23 @@ mod tests {
     #[test]
     fn the_least_certain_direction_may_lie_between_the_axes() {
         // Standard deviations of 3 m along the diagonal and of 1 m across it.
-        let correction = Correction { covariance: [5.0, 4.0, 0.0, 5.0, 0.0, 0.0], ..Correction::default() };
-        assert!((correction.position_sigma_m() - 3.0).abs() < 1e-12);
+        let pose_estimate =
+            PoseEstimate { covariance: [5.0, 4.0, 0.0, 5.0, 0.0, 0.0], ..PoseEstimate::default() };
+        assert!((pose_estimate.position_sigma_m() - 3.0).abs() < 1e-12);
     }
 
     #[test]
-    fn a_correction_in_a_turned_map_has_its_axes_swapped() {
-        let correction = Correction {
+    fn a_pose_estimate_in_a_turned_map_has_its_axes_swapped() {
+        let pose_estimate = PoseEstimate {
             map_from_base: Pose2::new(1.0, 0.0, 0.0),
             covariance: [4.0, 0.5, 0.1, 1.0, 0.2, 0.3],
-            ..Correction::default()
+            ..PoseEstimate::default()
         };
-        let turned = correction.transformed(Pose2::new(10.0, 0.0, core::f64::consts::FRAC_PI_2));
+        let turned = pose_estimate.transformed(Pose2::new(10.0, 0.0, core::f64::consts::FRAC_PI_2));
         assert!(
             (turned.map_from_base.x_m - 10.0).abs() < 1e-12 && (turned.map_from_base.y_m - 1.0).abs() < 1e-12
         );
-        assert!((turned.position_sigma_m() - correction.position_sigma_m()).abs() < 1e-12);
+        assert!((turned.position_sigma_m() - pose_estimate.position_sigma_m()).abs() < 1e-12);
         let expected = [1.0, -0.5, -0.2, 4.0, 0.1, 0.3];
         assert!(turned.covariance.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{turned:?}");
     }

@@ -52,7 +52,7 @@ pub struct RobotStats {
     pub scans_lost: u64,
     /// TF jitter since the start, milliseconds: |(receive - stamp) - its mean|, per link, pooled.
     pub tf_jitter_ms: Distribution,
-    /// Latency from the simulator sending a scan to its correction, milliseconds, since the start.
+    /// Latency from the simulator sending a scan to its pose estimate, milliseconds, since the start.
     pub scan_to_pose_ms: Distribution,
     /// Latency from the simulator sending a scan to the map that contains it, milliseconds, since the start.
     pub scan_to_map_ms: Distribution,

@@ -3,7 +3,7 @@
 use crate::cdr::{Dialect, Writer};
 use crate::names::{FrameNames, MAP};
 use msg::{
-    Correction, GridView, IndexRect, MapTransforms, Odometry, Pose2, RobotFrame, RobotFrameTransform,
+    GridView, IndexRect, MapTransforms, Odometry, Pose2, PoseEstimate, RobotFrame, RobotFrameTransform,
     RobotId, RobotStats, Scan, Stamp, Transforms,
 };
 
@@ -140,7 +140,7 @@ pub fn map_from_odom(
 /// Writes geometry_msgs/PoseWithCovarianceStamped: SLAM's pose of the robot in its map.
 ///
 /// The covariance is row-major over x, y, z and the rotations about them; z, roll and pitch have none.
-pub fn pose_estimate(to: &mut Writer<'_>, frame_id: &str, message: &Correction) {
+pub fn pose_estimate(to: &mut Writer<'_>, frame_id: &str, message: &PoseEstimate) {
     header(to, message.header.stamp, frame_id);
     let (position, orientation) = spatial(message.map_from_base);
     pose(to, position, orientation);

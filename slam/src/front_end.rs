@@ -25,7 +25,7 @@ use crate::scan_buffers::ScanBufferPool;
 use crate::stages::{Stage, StageObserver};
 use local_frame::LocalFrameInMap;
 use motion::MotionModel;
-use msg::{Correction, Odometry, Pose2, Scan, Stamp, TrackingState};
+use msg::{Odometry, Pose2, PoseEstimate, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 use node_builder::NodeBuilder;
 use scan_matcher::{ScanMatcher, TrackedPose};
@@ -82,7 +82,7 @@ pub struct ScanResult {
     /// The covariance is that of the pose in the map, as seen from one node of it, the first where all are placed. While the scan does not fit, it
     /// grows with the path since the newest node. While the robot is not located in its map, it is that of an unknown
     /// pose (100 m, pi).
-    pub correction: Correction,
+    pub pose_estimate: PoseEstimate,
     /// Covariance over (x, y, yaw) of the pose in the local map of the newest nodes, in the front end's frame: how well
     /// the scan fits, whatever the map has drifted since its first node.
     pub local_covariance: Matrix3<f64>,
@@ -119,7 +119,7 @@ pub struct LastScan {
     pub continuous_from_base: Option<Pose2>,
     /// Motion over the last interval, and its length in seconds, for logs without odometry.
     pub motion: Option<(Pose2, f64)>,
-    /// Covariance of the pose, see [`ScanResult::correction`].
+    /// Covariance of the pose, see [`ScanResult::pose_estimate`].
     #[serde(with = "crate::encoding::matrix")]
     pub covariance: Matrix3<f64>,
 }
@@ -188,10 +188,10 @@ impl FrontEnd {
         // Record the pose for the trajectory and for the next prediction.
         self.record(stamp, &pose, continuous_from_base);
         // Answer in the map's frame.
-        let correction = self.correction(scan, &pose, continuous_from_base);
+        let pose_estimate = self.pose_estimate(scan, &pose, continuous_from_base);
         self.stages.stage_started(Stage::Idle);
         ScanResult {
-            correction,
+            pose_estimate,
             local_covariance: pose.covariance,
             rejected: None,
             node_id: node.as_ref().map(|n| n.id),
@@ -361,12 +361,12 @@ impl FrontEnd {
 
     /// The answer to a scan. `continuous_from_base` is `None` if odometry is missing at its stamp: the transform of `odom` stays
     /// as it was.
-    fn correction(
+    fn pose_estimate(
         &mut self,
         scan: &Scan,
         pose: &TrackedPose,
         continuous_from_base: Option<Pose2>,
-    ) -> Correction {
+    ) -> PoseEstimate {
         let LocalFrameInMap { map_from_local, is_located, .. } = self.frame;
         let map_from_base = map_from_local * pose.local_from_base;
         let c = match is_located {
@@ -380,7 +380,7 @@ impl FrontEnd {
         let map_from_odom = self.newest_with_odometry.map(|[map_from_base, base_from_continuous]| {
             map_from_base * (base_from_continuous * continuous_from_odom)
         });
-        Correction {
+        PoseEstimate {
             header: msg::Header { stamp: scan.header.stamp, ..Default::default() },
             scan_seq: scan.header.seq,
             scan_sent: scan.header.sent,

@@ -7,7 +7,7 @@
 //!  FrontEnd (in bounded time)               BackEnd (links, closures, solver, map)
 //!        │            ◀─────────────── MapFrameUpdate
 //!        ▼
-//!   ScanResult: correction, covariance, state
+//!   ScanResult: pose estimate, covariance, state
 //! ```
 //!
 //! [`FrontEnd`] answers every scan in bounded time and never waits for [`BackEnd`]. Both are plain values
@@ -85,7 +85,7 @@ const WAITING_MAX: usize = NODES_IN_FLIGHT_MAX - 2;
 /// for tick in 1..=3 {
 ///     scan.header.stamp = Stamp::from_seconds(0.1 * f64::from(tick));
 ///     let result = slam.process(&scan);
-///     assert!(result.correction.map_from_base.distance_m(Pose2::IDENTITY) < 0.01);
+///     assert!(result.pose_estimate.map_from_base.distance_m(Pose2::IDENTITY) < 0.01);
 /// }
 /// slam.finish();
 /// assert_eq!(slam.trajectory().count(), 3);

@@ -47,7 +47,7 @@ fn spin(known: Known) -> (f64, f64, usize) {
                 slam.add_odometry(&robot.odometry());
             }
         }
-        let pose = slam.process(&scan).correction.map_from_base;
+        let pose = slam.process(&scan).pose_estimate.map_from_base;
         slam.work();
         away_m.push(truth.distance_m(pose));
         turned_rad.push(wrap_angle(truth.yaw_rad - pose.yaw_rad).abs());

@@ -33,7 +33,7 @@ fn drive(has_odometry: impl Fn(usize) -> bool) -> (Slam, Said) {
             slam.add_odometry(&robot.odometry());
         }
         let scan = cast(&walls, &FULL, robot.world_from_base, robot.stamp(), &mut noise);
-        said.push((slam.process(&scan).correction.state(), robot.world_from_base));
+        said.push((slam.process(&scan).pose_estimate.state(), robot.world_from_base));
         slam.work();
     }
     slam.finish();

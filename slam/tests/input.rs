@@ -50,9 +50,9 @@ fn the_answer_names_its_scan() {
     let mut scan = scan_at(1.0);
     scan.header.seq = 42;
     scan.header.sent = msg::Monotonic(99);
-    let correction = slam.process(&scan).correction;
-    assert_eq!(correction.header.stamp, scan.header.stamp);
-    assert_eq!((correction.scan_seq, correction.scan_sent), (42, msg::Monotonic(99)));
+    let pose_estimate = slam.process(&scan).pose_estimate;
+    assert_eq!(pose_estimate.header.stamp, scan.header.stamp);
+    assert_eq!((pose_estimate.scan_seq, pose_estimate.scan_sent), (42, msg::Monotonic(99)));
 }
 
 #[test]
@@ -69,7 +69,7 @@ fn the_number_of_beams_may_change() {
         let step = slam.process(&cast(&walls, &lidar, robot.world_from_base, robot.stamp(), &mut noise));
         assert_eq!(step.rejected, None);
         let wanted = start.between(robot.world_from_base);
-        assert!(step.correction.map_from_base.distance_m(wanted) < 0.1);
+        assert!(step.pose_estimate.map_from_base.distance_m(wanted) < 0.1);
     }
 }
 
@@ -91,8 +91,8 @@ fn a_scan_that_sees_nothing_has_the_pose_by_odometry() {
         scan.header.stamp = Stamp(robot.stamp().0 + i as i64);
         scan.ranges_m.fill(empty);
         let step = slam.process(&scan);
-        assert_eq!(step.correction.state(), state, "{empty}");
-        assert!(step.correction.map_from_base.distance_m(robot.odom_from_base) < 0.02, "{empty}");
+        assert_eq!(step.pose_estimate.state(), state, "{empty}");
+        assert!(step.pose_estimate.map_from_base.distance_m(robot.odom_from_base) < 0.02, "{empty}");
     }
     assert_eq!(slam.counts().lost, 3);
 }
@@ -109,14 +109,14 @@ fn open_floor_is_crossed_by_odometry_until_its_error_is_large() {
         let mut scan = scan_at(0.0);
         scan.header.stamp = robot.stamp();
         scan.ranges_m.fill(f32::INFINITY);
-        let correction = slam.process(&scan).correction;
-        let sigma_m = correction.covariance[0].max(correction.covariance[3]).sqrt();
-        if correction.state() == TrackingState::Lost {
+        let pose_estimate = slam.process(&scan).pose_estimate;
+        let sigma_m = pose_estimate.covariance[0].max(pose_estimate.covariance[3]).sqrt();
+        if pose_estimate.state() == TrackingState::Lost {
             assert!(sigma_m > 0.4, "{sigma_m} m after {crossed_m} m");
             break;
         }
-        assert!(i == 0 || correction.state() == TrackingState::Degenerate);
-        crossed_m = correction.map_from_base.x_m;
+        assert!(i == 0 || pose_estimate.state() == TrackingState::Degenerate);
+        crossed_m = pose_estimate.map_from_base.x_m;
     }
     assert!((1.0..30.0).contains(&crossed_m), "{crossed_m} m");
 }
@@ -137,7 +137,7 @@ fn wheels_that_leap_while_the_beams_turn_break_nothing() {
                 odometry.header.stamp = Stamp::from_seconds(1.0 + 0.1 * i as f64 + after);
                 slam.add_odometry(&odometry);
             }
-            assert!(slam.process(&scan).correction.map_from_base.is_finite());
+            assert!(slam.process(&scan).pose_estimate.map_from_base.is_finite());
             slam.work();
         }
     }
@@ -169,9 +169,12 @@ fn one_beam_and_4096_are_scans() {
         let scan = cast(&laboratory(), &lidar, Pose2::new(0.0, -0.5, 0.3), stamp, &mut Noise::new(1));
         let step = slam.process(&scan);
         assert_eq!(step.rejected, None);
-        let correction = step.correction;
-        assert!(correction.map_from_base.distance_m(Pose2::IDENTITY) < 0.05, "{beams} beams: {correction:?}");
-        assert!(correction.covariance.iter().all(|v| v.is_finite()));
+        let pose_estimate = step.pose_estimate;
+        assert!(
+            pose_estimate.map_from_base.distance_m(Pose2::IDENTITY) < 0.05,
+            "{beams} beams: {pose_estimate:?}"
+        );
+        assert!(pose_estimate.covariance.iter().all(|v| v.is_finite()));
         slam.work();
     }
 }
@@ -215,7 +218,7 @@ proptest! {
             let odom_from_base = Pose2::new(x, -x, x);
             slam.add_odometry(&msg::Odometry { header: scan.header, odom_from_base, ..Default::default() });
             let step = slam.process(&scan);
-            prop_assert!(step.correction.map_from_base.is_finite());
+            prop_assert!(step.pose_estimate.map_from_base.is_finite());
             slam.work();
         }
         slam.finish();

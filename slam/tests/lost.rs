@@ -44,9 +44,9 @@ impl Drive {
                 self.slam.add_odometry(&self.robot.odometry());
                 let (pose, stamp) = (self.robot.world_from_base, self.robot.stamp());
                 let scan = cast(&self.walls, &self.lidar, pose, stamp, &mut self.noise);
-                let correction = self.slam.process(&scan).correction;
+                let pose_estimate = self.slam.process(&scan).pose_estimate;
                 self.slam.work();
-                self.said.push((correction.state(), correction.map_from_base, pose));
+                self.said.push((pose_estimate.state(), pose_estimate.map_from_base, pose));
             }
         }
     }
@@ -167,7 +167,7 @@ fn a_robot_carried_to_another_room_stays_lost_until_it_knows_that_one_better() {
     assert!(ghosts * 50 < occupied && occupied > 500, "{ghosts} of {occupied} cells are no walls");
 }
 
-/// Variances of a correction's covariance along and across a heading.
+/// Variances of a pose estimate's covariance along and across a heading.
 fn along_across(covariance: [f64; 6], yaw_rad: f64) -> (f64, f64) {
     let [xx, xy, _, yy, ..] = covariance;
     let (s, c) = yaw_rad.sin_cos();
@@ -187,13 +187,13 @@ fn in_a_corridor_the_covariance_is_long_and_the_state_says_so() {
         drive.slam.add_odometry(&drive.robot.odometry());
         let (pose, stamp) = (drive.robot.world_from_base, drive.robot.stamp());
         let scan = cast(&drive.walls, &drive.lidar, pose, stamp, &mut drive.noise);
-        let correction = drive.slam.process(&scan).correction;
+        let pose_estimate = drive.slam.process(&scan).pose_estimate;
         drive.slam.work();
-        degenerate += usize::from(correction.state() == TrackingState::Degenerate);
+        degenerate += usize::from(pose_estimate.state() == TrackingState::Degenerate);
         if i > 0 {
             // The map's x axis is where the robot looked first: along the corridor, about.
-            let yaw_rad = correction.map_from_base.yaw_rad;
-            let (along, across) = along_across(correction.covariance, yaw_rad);
+            let yaw_rad = pose_estimate.map_from_base.yaw_rad;
+            let (along, across) = along_across(pose_estimate.covariance, yaw_rad);
             assert!(along > 3.0 * across, "scan {i}: {along} along, {across} across");
             assert!(across.sqrt() < 0.03, "scan {i}: {across} across");
             if i == 20 || i == 99 {
@@ -230,10 +230,10 @@ fn the_covariance_is_about_what_the_error_is() {
                 }
                 let (truth, stamp) = (drive.robot.world_from_base, drive.robot.stamp());
                 let scan = cast(&drive.walls, &lidar, truth, stamp, &mut drive.noise);
-                let correction = drive.slam.process(&scan).correction;
+                let pose_estimate = drive.slam.process(&scan).pose_estimate;
                 drive.slam.work();
-                let now = (correction.map_from_base, truth, correction.covariance);
-                let known = correction.state() != TrackingState::Lost;
+                let now = (pose_estimate.map_from_base, truth, pose_estimate.covariance);
+                let known = pose_estimate.state() != TrackingState::Lost;
                 if let (Some((said, was, covariance)), true) = (before, known) {
                     let error = was.between(truth).inverse() * said.between(now.0);
                     // In axes of the robot, both doubts together.
@@ -265,9 +265,9 @@ fn a_blind_robot_is_less_sure_with_every_metre_and_a_standing_one_is_not() {
         drive.slam.add_odometry(&drive.robot.odometry());
         let mut scan = cast(&[], &drive.lidar, Pose2::IDENTITY, drive.robot.stamp(), &mut drive.noise);
         scan.ranges_m.fill(f32::INFINITY);
-        let correction = drive.slam.process(&scan).correction;
-        assert_eq!(correction.state(), TrackingState::Degenerate);
-        correction.covariance[0].sqrt()
+        let pose_estimate = drive.slam.process(&scan).pose_estimate;
+        assert_eq!(pose_estimate.state(), TrackingState::Degenerate);
+        pose_estimate.covariance[0].sqrt()
     };
     let first = blind(&mut drive, 0.0);
     let standing = (0..200).map(|_| blind(&mut drive, 0.0)).fold(0.0, f64::max);
@@ -282,9 +282,12 @@ fn a_blind_robot_is_less_sure_with_every_metre_and_a_standing_one_is_not() {
     drive.robot.drive(0.15, 0.0, 0.1, &mut drive.noise);
     drive.slam.add_odometry(&drive.robot.odometry());
     let (pose, stamp) = (drive.robot.world_from_base, drive.robot.stamp());
-    let correction =
-        drive.slam.process(&cast(&drive.walls, &drive.lidar, pose, stamp, &mut drive.noise)).correction;
-    assert!(correction.state() == TrackingState::Lost && correction.covariance[0] > 100.0, "{correction:?}");
+    let pose_estimate =
+        drive.slam.process(&cast(&drive.walls, &drive.lidar, pose, stamp, &mut drive.noise)).pose_estimate;
+    assert!(
+        pose_estimate.state() == TrackingState::Lost && pose_estimate.covariance[0] > 100.0,
+        "{pose_estimate:?}"
+    );
 }
 
 #[test]

@@ -24,10 +24,10 @@ fn error_m(slam: &mut Slam, log: &Log, world_from_map: Pose2) -> f64 {
     let mut worst = 0.0_f64;
     for (odometry, scan, truth) in log {
         slam.add_odometry(odometry);
-        let correction = slam.process(scan).correction;
+        let pose_estimate = slam.process(scan).pose_estimate;
         slam.work();
-        assert_ne!(correction.state(), TrackingState::Lost);
-        worst = worst.max((world_from_map * correction.map_from_base).distance_m(*truth));
+        assert_ne!(pose_estimate.state(), TrackingState::Lost);
+        worst = worst.max((world_from_map * pose_estimate.map_from_base).distance_m(*truth));
     }
     worst
 }
@@ -80,7 +80,7 @@ fn a_map_begins_where_it_is_told_to() {
     for (odometry, scan, truth) in &log {
         front.add_odometry(odometry);
         let step = front.process(scan);
-        let at = world_from_map * step.correction.map_from_base;
+        let at = world_from_map * step.pose_estimate.map_from_base;
         assert!(at.distance_m(*truth) < 0.1, "{at:?} instead of {truth:?}");
         step.node.into_iter().for_each(|node| front.add_frame_update(back.add_node(node)));
     }

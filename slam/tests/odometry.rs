@@ -1,14 +1,14 @@
-//! Corrections while odometry is missing: no transform of `odom` is made up, and a known one does not jump.
+//! Pose estimates while odometry is missing: no transform of `odom` is made up, and a known one does not jump.
 
 mod common;
 
 use common::{FULL, Noise, Robot, cast, laboratory};
-use msg::{Correction, Odometry, Pose2, Scan};
+use msg::{Odometry, Pose2, PoseEstimate, Scan};
 use proptest::prelude::*;
 use slam::{Slam, SlamConfig};
 
 /// Odometry's pose at a scan, if it was given, and SLAM's answer.
-type Answer = (Option<Pose2>, Correction);
+type Answer = (Option<Pose2>, PoseEstimate);
 
 /// Drives a circle, 10 scans a second. `has_odometry` and `is_refused` say, for each scan, whether odometry comes with
 /// it and whether its geometry is nonsense.
@@ -32,7 +32,7 @@ fn drive(
         let answer = slam.process(&scan);
         assert_eq!(answer.rejected.is_some(), is_refused(k));
         slam.work();
-        answers.push((odometry.map(|odometry| odometry.odom_from_base), answer.correction));
+        answers.push((odometry.map(|odometry| odometry.odom_from_base), answer.pose_estimate));
         robot.drive(0.2, 0.5, 0.1, &mut noise);
     }
     answers
@@ -54,7 +54,7 @@ fn a_gap_of_odometry_does_not_move_odom() {
     let answers = drive(90, gap, |_| false);
     let largest = steps_m(&answers).fold(0.0, f64::max);
     assert!(largest < 0.15, "a step of {largest:.3} m");
-    assert!(answers.iter().all(|(_, correction)| correction.map_from_odom().is_some()));
+    assert!(answers.iter().all(|(_, pose_estimate)| pose_estimate.map_from_odom().is_some()));
     // Once it cannot be extrapolated, the transform stays as it was.
     assert!(answers[34..38].windows(2).all(|pair| pair[0].1.map_from_odom == pair[1].1.map_from_odom));
 }
@@ -62,8 +62,8 @@ fn a_gap_of_odometry_does_not_move_odom() {
 #[test]
 fn without_odometry_odom_lies_nowhere() {
     let answers = drive(40, |_| false, |_| false);
-    for (_, correction) in &answers {
-        assert_eq!(correction.map_from_odom(), None);
+    for (_, pose_estimate) in &answers {
+        assert_eq!(pose_estimate.map_from_odom(), None);
     }
     // The robot's own pose is known all the same.
     assert!(answers[39].1.map_from_base.distance_m(Pose2::IDENTITY) > 0.2);
@@ -72,9 +72,9 @@ fn without_odometry_odom_lies_nowhere() {
 #[test]
 fn a_refused_first_scan_tells_no_pose() {
     let answers = drive(4, |k| k > 1, |k| k < 2);
-    for (_, correction) in &answers[..2] {
-        assert_eq!(correction.map_from_odom(), None);
-        assert!(correction.covariance[0] > 1000.0, "{:?}", correction.covariance);
+    for (_, pose_estimate) in &answers[..2] {
+        assert_eq!(pose_estimate.map_from_odom(), None);
+        assert!(pose_estimate.covariance[0] > 1000.0, "{:?}", pose_estimate.covariance);
     }
     assert!(answers[3].1.map_from_odom().is_some());
 }
@@ -88,12 +88,12 @@ fn a_robot_that_is_looked_for_keeps_its_odom() {
     for k in 0..20 {
         front.add_odometry(&robot.odometry());
         let scan = cast(&walls, &FULL, robot.world_from_base, robot.stamp(), &mut noise);
-        let correction = front.process(&scan).correction;
+        let pose_estimate = front.process(&scan).pose_estimate;
         if k == 10 {
-            known = correction.map_from_odom();
+            known = pose_estimate.map_from_odom();
             front.set_map_from_local(None);
         } else if k > 10 {
-            assert_eq!(correction.map_from_odom(), known);
+            assert_eq!(pose_estimate.map_from_odom(), known);
         }
         robot.drive(0.2, 0.5, 0.1, &mut noise);
     }
@@ -110,10 +110,10 @@ proptest! {
         refused in prop::collection::vec(prop::bool::weighted(0.2), 40),
     ) {
         let answers = drive(40, |k| !missing[k], |k| refused[k]);
-        for (k, (odom_from_base, correction)) in answers.iter().enumerate() {
+        for (k, (odom_from_base, pose_estimate)) in answers.iter().enumerate() {
             let (Some(odom_from_base), false) = (odom_from_base, refused[k]) else { continue };
-            let map_from_odom = correction.map_from_odom().expect("odometry is known");
-            let error_m = (map_from_odom * *odom_from_base).distance_m(correction.map_from_base);
+            let map_from_odom = pose_estimate.map_from_odom().expect("odometry is known");
+            let error_m = (map_from_odom * *odom_from_base).distance_m(pose_estimate.map_from_base);
             prop_assert!(error_m < 1e-9, "scan {k}: {error_m} m");
         }
         let largest = steps_m(&answers).fold(0.0, f64::max);

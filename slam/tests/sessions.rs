@@ -27,9 +27,9 @@ fn log(walls: &[Wall], lidar: &Lidar, robot: &mut Robot, legs: &[(f64, f64, f64)
 fn feed(slam: &mut Slam, log: &Log) -> Vec<(Pose2, TrackingState)> {
     let one = |(odometry, scan, _): &(Odometry, Box<Scan>, Pose2)| {
         slam.add_odometry(odometry);
-        let correction = slam.process(scan).correction;
+        let pose_estimate = slam.process(scan).pose_estimate;
         slam.work();
-        (correction.map_from_base, correction.state())
+        (pose_estimate.map_from_base, pose_estimate.state())
     };
     log.iter().map(one).collect()
 }

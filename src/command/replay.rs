@@ -310,14 +310,14 @@ impl Feeder {
         self.times.push(start.elapsed());
         if step.rejected.is_none() {
             if front.is_located() {
-                self.located.push((line.stamp, step.correction.map_from_base));
+                self.located.push((line.stamp, step.pose_estimate.map_from_base));
             } else {
                 self.not_located += 1;
             }
         }
         if self.noted.elapsed() > PROGRESS {
             self.noted = Instant::now();
-            output::note(&format!("{} scans, {} nodes", self.seq, step.correction.nodes));
+            output::note(&format!("{} scans, {} nodes", self.seq, step.pose_estimate.nodes));
         }
         step.node
     }

@@ -13,7 +13,7 @@ use crate::process::Error;
 use crate::sessions;
 use crate::storage::Storage;
 use msg::grid::known_count;
-use msg::{Correction, GroundTruth, Monotonic, Pose2, RobotId, Stamp, TrackingState};
+use msg::{GroundTruth, Monotonic, Pose2, PoseEstimate, RobotId, Stamp, TrackingState};
 use sha2::{Digest, Sha256};
 use std::collections::VecDeque;
 
@@ -35,9 +35,9 @@ pub(super) const KNOWN_SHARE_MIN: f64 = 0.9;
 const BACKLOG_MAX: usize = 24;
 /// Violations after which no more is looked for: one is enough.
 const VIOLATIONS_MAX: usize = 32;
-/// Number of true poses kept for late corrections: five seconds.
+/// Number of true poses kept for late pose estimates: five seconds.
 const TRUTHS_MAX: usize = 500;
-/// Time without a correction after which a robot's SLAM counts as not working, seconds.
+/// Time without a pose estimate after which a robot's SLAM counts as not working, seconds.
 const SILENT_MAX_S: f64 = 1.5;
 
 /// Checks the invariants on the messages of a fleet.
@@ -54,7 +54,7 @@ struct RobotChecker {
     world_from_start: Option<Pose2>,
     truths: VecDeque<(Stamp, Pose2)>,
     drive: DriveChecks,
-    /// Corrections in a row that are far from the truth.
+    /// Pose estimates in a row that are far from the truth.
     wrong: u32,
     corrected: Option<Stamp>,
 }
@@ -95,7 +95,7 @@ impl Checker {
         let violation = match name {
             "command" => robot.drive.command(&bytemuck::pod_read_unaligned(bytes)),
             "truth" => robot.truth(&bytemuck::pod_read_unaligned(bytes), rest_after_s),
-            "correction" => robot.correction(&bytemuck::pod_read_unaligned(bytes)),
+            "pose_estimate" => robot.pose_estimate(&bytemuck::pod_read_unaligned(bytes)),
             _ => None,
         };
         self.violations.extend(violation);
@@ -118,7 +118,8 @@ impl Checker {
         for robot in &self.robots {
             if robot.corrected.is_none_or(|corrected| now - corrected > SILENT_MAX_S) {
                 let last = robot.corrected;
-                self.violations.push(format!("{}: no correction since {last:?}, now {now:?}", robot.robot));
+                self.violations
+                    .push(format!("{}: no pose estimate since {last:?}, now {now:?}", robot.robot));
             }
         }
         self.violations.extend(fleet.state_violations());
@@ -141,17 +142,17 @@ impl RobotChecker {
         })
     }
 
-    fn correction(&mut self, correction: &Correction) -> Option<String> {
-        let stamp = correction.header.stamp;
+    fn pose_estimate(&mut self, pose_estimate: &PoseEstimate) -> Option<String> {
+        let stamp = pose_estimate.header.stamp;
         self.corrected = self.corrected.max(Some(stamp));
         let at = self.truths.iter().rev().find(|(at, _)| *at == stamp);
         let (Some((_, world_from_base)), Some(world_from_start)) = (at, self.world_from_start) else {
             return None;
         };
-        let error = (world_from_start * correction.map_from_base).between(*world_from_base);
+        let error = (world_from_start * pose_estimate.map_from_base).between(*world_from_base);
         let [m, rad] = [error.x_m.hypot(error.y_m), error.yaw_rad.abs()];
         let is_wrong = m > POSE_ERROR_MAX[0] || rad > POSE_ERROR_MAX[1];
-        let sure = correction.state() != TrackingState::Lost;
+        let sure = pose_estimate.state() != TrackingState::Lost;
         self.wrong = if is_wrong && sure { self.wrong + 1 } else { 0 };
         (self.wrong == WRONG_SCANS).then(|| {
             format!("{} {WRONG_POSE} at {:.2} s: {m:.2} m, {rad:.2} rad", self.robot, stamp.seconds())

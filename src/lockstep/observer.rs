@@ -6,7 +6,8 @@ use crate::observer::kept_place;
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
 use msg::{
-    Correction, DenseMap, FleetStats, GridView, GroundTruth, MapTransforms, MergeEdges, Pose2, RobotId, Role,
+    DenseMap, FleetStats, GridView, GroundTruth, MapTransforms, MergeEdges, Pose2, PoseEstimate, RobotId,
+    Role,
 };
 use std::rc::Rc;
 use telemetry::UnreliableMaps;
@@ -29,7 +30,7 @@ pub struct Observer {
 /// Newest pose that was received from a robot.
 struct LastSeen {
     truths: QueueReader<GroundTruth>,
-    corrections: QueueReader<Correction>,
+    pose_estimates: QueueReader<PoseEstimate>,
     world_from_base: Option<Pose2>,
     map_from_odom: Option<Pose2>,
     map_from_base: Option<Pose2>,
@@ -47,7 +48,7 @@ impl Observer {
         let last_seen = |robot| {
             Ok(LastSeen {
                 truths: ports.reader(&channel::truth(robot))?,
-                corrections: ports.reader(&channel::correction(robot))?,
+                pose_estimates: ports.reader(&channel::pose_estimate(robot))?,
                 world_from_base: None,
                 map_from_odom: None,
                 map_from_base: None,
@@ -78,10 +79,10 @@ impl Observer {
             if let Some(truth) = robot.truths.newest() {
                 robot.world_from_base = Some(truth.world_from_base);
             }
-            if let Some(correction) = robot.corrections.newest() {
-                robot.map_from_odom = kept_place(&correction, robot.map_from_odom);
-                robot.map_from_base = Some(correction.map_from_base);
-                self.unreliable.record(id, &correction);
+            if let Some(pose_estimate) = robot.pose_estimates.newest() {
+                robot.map_from_odom = kept_place(&pose_estimate, robot.map_from_odom);
+                robot.map_from_base = Some(pose_estimate.map_from_base);
+                self.unreliable.record(id, &pose_estimate);
             }
         }
         if let Some(transforms) = self.transforms.newest() {

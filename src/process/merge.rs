@@ -19,7 +19,7 @@ use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
 use ::merge::{FleetPoseGraph, Merger};
 use msg::{
-    Correction, MAP_OLD_AFTER_S, MapTransforms, Monotonic, Pose2, ROBOTS_MAX, RobotId, Role, TrackingState,
+    MAP_OLD_AFTER_S, MapTransforms, Monotonic, Pose2, PoseEstimate, ROBOTS_MAX, RobotId, Role, TrackingState,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -84,9 +84,9 @@ const AGES_PERIOD: Duration = Duration::from_millis(500);
 /// Channels of the robots' SLAM, and what the other thread hands over.
 struct Inputs<P: Ports> {
     maps: Vec<(RobotId, P::MapReader)>,
-    corrections: Vec<(RobotId, P::Reader<Correction>)>,
-    /// Time of the newest correction of each robot, by [`RobotId::index`]; zero: none yet.
-    correction_received: [Monotonic; ROBOTS_MAX],
+    pose_estimates: Vec<(RobotId, P::Reader<PoseEstimate>)>,
+    /// Time of the newest pose estimate of each robot, by [`RobotId::index`]; zero: none yet.
+    pose_estimate_received: [Monotonic; ROBOTS_MAX],
     estimates: Arc<FleetEstimateSlot>,
     /// The robots' newest maps, to be kept in files.
     held_maps: Arc<MapSlot>,
@@ -146,22 +146,23 @@ impl<P: Ports> MergeProcess<P> {
         let starts: Vec<Option<Pose2>> =
             robots.clone().map(|robot| state.graph.map_from_robot_map(robot)).collect();
         let maps = robots.clone().map(|robot| Ok((robot, ports.map_reader(&channel::map(robot))?)));
-        let corrections = robots.clone().map(|robot| Ok((robot, ports.reader(&channel::correction(robot))?)));
+        let pose_estimates =
+            robots.clone().map(|robot| Ok((robot, ports.reader(&channel::pose_estimate(robot))?)));
         let listeners = robots.clone().map(|robot| ports.listener(&channel::map(robot)));
         let listeners = listeners.chain([ports.listener(&channel::merge_edges())]);
         let clock = ports.clock();
         let until = clock.now() + RESTART_HOLD_MAX;
         let missing: Vec<RobotId> = restored.iter().map(|(robot, _)| *robot).collect();
-        let mut correction_received = [Monotonic::default(); ROBOTS_MAX];
+        let mut pose_estimate_received = [Monotonic::default(); ROBOTS_MAX];
         for (robot, held) in restored {
-            correction_received[robot.index()] = held.correction_received;
+            pose_estimate_received[robot.index()] = held.pose_estimate_received;
         }
         let mut process = Self {
             merger: Merger::new(&run.config.merge, &starts),
             inputs: Inputs {
                 maps: maps.collect::<Result<_, ChannelError>>()?,
-                corrections: corrections.collect::<Result<_, ChannelError>>()?,
-                correction_received,
+                pose_estimates: pose_estimates.collect::<Result<_, ChannelError>>()?,
+                pose_estimate_received,
                 estimates: state.estimates.clone(),
                 held_maps: state.maps.clone(),
             },
@@ -191,21 +192,21 @@ impl<P: Ports> MergeProcess<P> {
                 let merger = &mut self.merger;
                 let taken = self.heartbeat.measure(|| merger.update_tiles(*robot, reader.map())).is_ok();
                 if taken {
-                    let correction_received = self.inputs.correction_received[robot.index()];
+                    let pose_estimate_received = self.inputs.pose_estimate_received[robot.index()];
                     self.inputs
                         .held_maps
-                        .put(*robot, HeldMap { map: reader.map().clone(), correction_received });
+                        .put(*robot, HeldMap { map: reader.map().clone(), pose_estimate_received });
                 }
                 self.restart.iter_mut().for_each(|restart| restart.record_map(*robot));
                 self.refused += u64::from(!taken);
                 changed |= taken;
             }
         }
-        for (robot, reader) in &mut self.inputs.corrections {
+        for (robot, reader) in &mut self.inputs.pose_estimates {
             let received = reader.receive_counts().received;
             changed |= receive_robot_poses::<P>(&mut self.merger, *robot, reader, self.robot_radius_m);
             if reader.receive_counts().received != received {
-                self.inputs.correction_received[robot.index()] = self.clock.now();
+                self.inputs.pose_estimate_received[robot.index()] = self.clock.now();
             }
         }
         if let Some(estimate) = self.inputs.estimates.take() {
@@ -218,9 +219,9 @@ impl<P: Ports> MergeProcess<P> {
 
     /// Sends where the robots' maps lie, and how old they are.
     fn send_transforms(&mut self) {
-        let correction_received = self.inputs.correction_received;
-        self.transforms.send(&MapTransforms { correction_received, ..self.merger.map_transforms() });
-        self.ages.sent = Some(correction_received);
+        let pose_estimate_received = self.inputs.pose_estimate_received;
+        self.transforms.send(&MapTransforms { pose_estimate_received, ..self.merger.map_transforms() });
+        self.ages.sent = Some(pose_estimate_received);
     }
 
     /// Sends the robots' ages if they are due, and keeps the time from which a robot's part of the map is old.
@@ -228,15 +229,17 @@ impl<P: Ports> MergeProcess<P> {
         if !self.ages.is_due(now) {
             return;
         }
-        if self.ages.sent != Some(self.inputs.correction_received) {
+        if self.ages.sent != Some(self.inputs.pose_estimate_received) {
             self.send_transforms();
         }
         for (robot, reader) in &self.inputs.maps {
-            let correction_received = self.inputs.correction_received[robot.index()];
-            if self.ages.becomes_old(*robot, correction_received, now)
+            let pose_estimate_received = self.inputs.pose_estimate_received[robot.index()];
+            if self.ages.becomes_old(*robot, pose_estimate_received, now)
                 && reader.map().tiles().next().is_some()
             {
-                self.inputs.held_maps.put(*robot, HeldMap { map: reader.map().clone(), correction_received });
+                self.inputs
+                    .held_maps
+                    .put(*robot, HeldMap { map: reader.map().clone(), pose_estimate_received });
             }
         }
     }
@@ -308,7 +311,7 @@ fn apply_estimate(merger: &mut Merger, estimate: &FleetEstimate) -> u64 {
 fn receive_robot_poses<P: Ports>(
     merger: &mut Merger,
     robot: RobotId,
-    reader: &mut P::Reader<Correction>,
+    reader: &mut P::Reader<PoseEstimate>,
     radius_m: f64,
 ) -> bool {
     let mut changed = false;

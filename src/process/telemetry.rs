@@ -13,7 +13,7 @@ use crate::stop::Stop;
 use crate::time_slice;
 use ::telemetry::Telemetry;
 use msg::{
-    Correction, DenseMap, FleetStats, Grid, GroundTruth, MapTransforms, Monotonic, ProcessHealth, RobotId,
+    DenseMap, FleetStats, Grid, GroundTruth, MapTransforms, Monotonic, PoseEstimate, ProcessHealth, RobotId,
     Role, Transforms,
 };
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -124,7 +124,7 @@ impl<P: Ports> Listens<P::Listener> for TelemetryProcess<P> {
 struct RobotInputs<P: Ports> {
     robot: RobotId,
     transforms: P::Reader<Transforms>,
-    corrections: P::Reader<Correction>,
+    pose_estimates: P::Reader<PoseEstimate>,
     truths: P::Reader<GroundTruth>,
     map: MapInput<P>,
 }
@@ -159,7 +159,7 @@ impl<P: Ports> Inputs<P> {
             Ok(RobotInputs {
                 robot,
                 transforms: ports.reader(&channel::transforms(robot))?,
-                corrections: ports.reader(&channel::correction(robot))?,
+                pose_estimates: ports.reader(&channel::pose_estimate(robot))?,
                 truths: ports.reader(&channel::truth(robot))?,
                 map: MapInput::new(ports.map_reader(&channel::map(robot))?),
             })
@@ -171,7 +171,7 @@ impl<P: Ports> Inputs<P> {
         let mut listeners = Vec::new();
         for robot in run.robots() {
             listeners.push(ports.listener(&channel::transforms(robot))?);
-            listeners.push(ports.listener(&channel::correction(robot))?);
+            listeners.push(ports.listener(&channel::pose_estimate(robot))?);
             listeners.push(ports.listener(&channel::map(robot))?);
         }
         Ok(Self {
@@ -184,15 +184,15 @@ impl<P: Ports> Inputs<P> {
     }
 
     fn receive_streams(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
-        for RobotInputs { robot, transforms, corrections, truths, map } in &mut self.robots {
+        for RobotInputs { robot, transforms, pose_estimates, truths, map } in &mut self.robots {
             while let Some(truth) = truths.receive() {
                 telemetry.add_truth(*robot, &truth);
             }
             while let Some(transforms) = transforms.receive() {
                 telemetry.add_transforms(*robot, &transforms, received);
             }
-            while let Some(correction) = corrections.receive() {
-                telemetry.add_correction(*robot, &correction, received);
+            while let Some(pose_estimate) = pose_estimates.receive() {
+                telemetry.add_pose_estimate(*robot, &pose_estimate, received);
             }
             if map.reader.poll() {
                 telemetry.record_map_arrival(*robot, map.reader.map().header.scan_sent, received);

@@ -6,18 +6,18 @@ use crate::processes::ProcessTable;
 use crate::robot::RobotTelemetry;
 use crate::truth::ObservableArea;
 use msg::{
-    Correction, FleetStats, Grid, GridView, GroundTruth, Header, MapTransforms, Monotonic, Pose2,
+    FleetStats, Grid, GridView, GroundTruth, Header, MapTransforms, Monotonic, Pose2, PoseEstimate,
     ProcessHealth, ROBOTS_MAX, RobotId, RobotStats, Stamp, Transforms,
 };
 
 /// Collects what the processes of a fleet send, and computes the fleet's statistics from it.
 ///
 /// `received` is the time at which a message reached telemetry. Messages about a robot that the fleet does not have are
-/// ignored. Transforms and corrections cost a few operations and no allocation. Maps are copied when they come and
+/// ignored. Transforms and pose estimates cost a few operations and no allocation. Maps are copied when they come and
 /// compared in [`Telemetry::compute_stats`].
 ///
 /// ```
-/// use msg::{Correction, Header, Monotonic, RobotId, Stamp};
+/// use msg::{PoseEstimate, Header, Monotonic, RobotId, Stamp};
 /// use telemetry::Telemetry;
 ///
 /// // SLAM answers ten scans a second, each 12 ms after it was sent.
@@ -26,8 +26,8 @@ use msg::{
 /// for n in 0..50_u64 {
 ///     let header = Header { stamp: Stamp(n as i64 * 100_000_000), seq: n, incarnation: 1, ..Default::default() };
 ///     let sent = Monotonic(1_000_000_000 + n * 100_000_000);
-///     let correction = Correction { header, scan_seq: n, scan_sent: sent, ..Default::default() };
-///     telemetry.add_correction(robot, &correction, Monotonic(sent.0 + 12_000_000));
+///     let pose_estimate = PoseEstimate { header, scan_seq: n, scan_sent: sent, ..Default::default() };
+///     telemetry.add_pose_estimate(robot, &pose_estimate, Monotonic(sent.0 + 12_000_000));
 /// }
 /// let stats = telemetry.compute_stats(Stamp(4_950_000_000), Monotonic(6_000_000_000));
 /// assert!((stats.robots[0].scan_hz - 10.0).abs() < 1e-9);
@@ -86,9 +86,9 @@ impl Telemetry {
     }
 
     /// Adds SLAM's answer to a scan.
-    pub fn add_correction(&mut self, robot: RobotId, correction: &Correction, received: Monotonic) {
+    pub fn add_pose_estimate(&mut self, robot: RobotId, pose_estimate: &PoseEstimate, received: Monotonic) {
         if let Some(robot) = self.robots.get_mut(robot.index()) {
-            robot.add_correction(correction, received);
+            robot.add_pose_estimate(pose_estimate, received);
         }
     }
 
@@ -170,7 +170,7 @@ impl Telemetry {
                 map_transform_error_m: error_m,
                 map_transform_error_rad: error_rad,
                 is_merged: u32::from(transform.is_some()),
-                map_age_s: age_s(self.map_transforms.correction_received[index], now),
+                map_age_s: age_s(self.map_transforms.pose_estimate_received[index], now),
                 ..robot.stats(stamp)
             };
         }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! transforms ────────────▶ jitter ─────┐
-//! corrections ───────────▶ scans, pose ┤
+//! pose estimates ────────▶ scans, pose ┤
 //! maps, map transforms ──▶ pairs ──────┼─▶ FleetStats, once a second
 //! truth, room plan ──────▶ errors ─────┤
 //! health of processes ───▶ processes ──┘

@@ -5,18 +5,18 @@ use crate::jitter::TransformJitter;
 use crate::scans::ScanCounter;
 use heapless::Deque;
 use msg::grid::{MAP_CELLS_MAX, Occupancy, UNKNOWN, occupancy};
-use msg::{Correction, Grid, GridView, GroundTruth, Monotonic, Pose2, RobotStats, Stamp};
+use msg::{Grid, GridView, GroundTruth, Monotonic, Pose2, PoseEstimate, RobotStats, Stamp};
 
-/// True poses kept until the correction of that time arrives: more than half a second at 100 Hz.
+/// True poses kept until the pose estimate of that time arrives: more than half a second at 100 Hz.
 const TRUTHS_MAX: usize = 64;
-/// Largest gap between the stamps of a true pose and a correction that are compared, seconds: 2 cm at 0.2 m/s.
+/// Largest gap between the stamps of a true pose and a pose estimate that are compared, seconds: 2 cm at 0.2 m/s.
 const TRUTH_GAP_MAX_S: f64 = 0.1;
 
 /// Scans for which the latency of their map means something: not those of a map that a restarted process had saved, and
 /// not those of a map that was drawn before telemetry began.
 #[derive(Default)]
 struct MapScans {
-    /// Incarnation of the SLAM process that sent the newest correction.
+    /// Incarnation of the SLAM process that sent the newest pose estimate.
     slam_incarnation: Option<u64>,
     /// When the first scan was sent that this SLAM process answered.
     first_sent: Option<Monotonic>,
@@ -25,10 +25,10 @@ struct MapScans {
 }
 
 impl MapScans {
-    fn add_correction(&mut self, correction: &Correction) {
-        if self.slam_incarnation != Some(correction.header.incarnation) {
-            self.slam_incarnation = Some(correction.header.incarnation);
-            self.first_sent = Some(correction.scan_sent);
+    fn add_pose_estimate(&mut self, pose_estimate: &PoseEstimate) {
+        if self.slam_incarnation != Some(pose_estimate.header.incarnation) {
+            self.slam_incarnation = Some(pose_estimate.header.incarnation);
+            self.first_sent = Some(pose_estimate.scan_sent);
         }
     }
 
@@ -52,7 +52,7 @@ pub(crate) struct RobotTelemetry {
     scans: ScanCounter,
     scan_to_pose: Histogram,
     scan_to_map: Histogram,
-    newest: Option<Correction>,
+    newest: Option<PoseEstimate>,
     truths: Deque<(Stamp, Pose2), TRUTHS_MAX>,
     /// The newest map.
     pub grid: Grid,
@@ -70,11 +70,11 @@ impl RobotTelemetry {
     }
 
     /// Adds SLAM's answer to a scan.
-    pub fn add_correction(&mut self, correction: &Correction, received: Monotonic) {
-        self.map_scans.add_correction(correction);
-        self.scans.add(correction);
-        record_latency(&mut self.scan_to_pose, correction.scan_sent, received);
-        self.newest = Some(*correction);
+    pub fn add_pose_estimate(&mut self, pose_estimate: &PoseEstimate, received: Monotonic) {
+        self.map_scans.add_pose_estimate(pose_estimate);
+        self.scans.add(pose_estimate);
+        record_latency(&mut self.scan_to_pose, pose_estimate.scan_sent, received);
+        self.newest = Some(*pose_estimate);
     }
 
     /// Records the latency of a map, unless it is older than one before.
@@ -107,29 +107,29 @@ impl RobotTelemetry {
 
     /// Computes the robot's statistics at a time of the run's clock.
     pub fn stats(&self, stamp: Stamp) -> RobotStats {
-        let correction = self.newest.unwrap_or_default();
+        let pose_estimate = self.newest.unwrap_or_default();
         RobotStats {
-            state: correction.state,
+            state: pose_estimate.state,
             scan_hz: self.scans.rate_hz(stamp),
             scans: self.scans.received,
             scans_lost: self.scans.lost,
             tf_jitter_ms: self.jitter.deviations().distribution_ms(),
             scan_to_pose_ms: self.scan_to_pose.distribution_ms(),
             scan_to_map_ms: self.scan_to_map.distribution_ms(),
-            map_from_base: correction.map_from_base,
+            map_from_base: pose_estimate.map_from_base,
             pose_error_m: self.pose_error_m().unwrap_or(f64::NAN),
-            nodes: correction.nodes,
-            closures: correction.closures,
+            nodes: pose_estimate.nodes,
+            closures: pose_estimate.closures,
             ..self.counts
         }
     }
 
     /// Returns the distance of SLAM's newest pose from the true one of nearly the same time, metres.
     fn pose_error_m(&self) -> Option<f64> {
-        let correction = self.newest.as_ref()?;
-        let gap_s = |stamp: Stamp| (stamp - correction.header.stamp).abs();
+        let pose_estimate = self.newest.as_ref()?;
+        let gap_s = |stamp: Stamp| (stamp - pose_estimate.header.stamp).abs();
         let nearest = self.truths.iter().min_by(|a, b| gap_s(a.0).total_cmp(&gap_s(b.0)))?;
-        let world_from_base = self.world_from_robot_map? * correction.map_from_base;
+        let world_from_base = self.world_from_robot_map? * pose_estimate.map_from_base;
         (gap_s(nearest.0) <= TRUTH_GAP_MAX_S).then(|| world_from_base.distance_m(nearest.1))
     }
 }

@@ -1,11 +1,11 @@
-//! Counting of the scans that reached SLAM, by the corrections that answer them.
+//! Counting of the scans that reached SLAM, by the pose estimates that answer them.
 
 use heapless::Deque;
-use msg::{Correction, Stamp};
+use msg::{PoseEstimate, Stamp};
 
 /// Scans kept for the rate: at least those of a second, up to 255 Hz.
 const RECENT_MAX: usize = 256;
-/// Largest time between the newest scan and now for which the rate ends at that scan, seconds. A correction needs
+/// Largest time between the newest scan and now for which the rate ends at that scan, seconds. A pose estimate needs
 /// time to arrive.
 const NEWEST_AGE_MAX_S: f64 = 0.25;
 
@@ -17,29 +17,29 @@ pub(crate) struct ScanCounter {
     /// Scans that were sent and did not reach SLAM.
     pub lost: u64,
     recent: Deque<Stamp, RECENT_MAX>,
-    last: Option<LastCorrection>,
+    last: Option<LastPoseEstimate>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct LastCorrection {
+struct LastPoseEstimate {
     run: u64,
     seq: u64,
     scan_seq: u64,
 }
 
 impl ScanCounter {
-    /// Adds a correction.
-    pub fn add(&mut self, correction: &Correction) {
-        let now = LastCorrection {
-            run: correction.header.incarnation,
-            seq: correction.header.seq,
-            scan_seq: correction.scan_seq,
+    /// Adds a pose estimate.
+    pub fn add(&mut self, pose_estimate: &PoseEstimate) {
+        let now = LastPoseEstimate {
+            run: pose_estimate.header.incarnation,
+            seq: pose_estimate.header.seq,
+            scan_seq: pose_estimate.scan_seq,
         };
         let (received, lost) = self.last.map_or((1, 0), |last| scans_between(last, now));
         self.received += received;
         self.lost += lost;
         self.last = Some(now);
-        let stamp = correction.header.stamp;
+        let stamp = pose_estimate.header.stamp;
         if self.recent.back().is_some_and(|newest| stamp < *newest) {
             self.recent.clear(); // the simulator was restarted
         }
@@ -64,11 +64,11 @@ impl ScanCounter {
     }
 }
 
-/// Scans received and lost between two corrections that reached telemetry.
+/// Scans received and lost between two pose estimates that reached telemetry.
 ///
-/// SLAM answers each scan with one correction: it received as many as its own `seq` advanced, even if telemetry missed
+/// SLAM answers each scan with one pose estimate: it received as many as its own `seq` advanced, even if telemetry missed
 /// some answers. What `scan_seq` advanced beyond that did not reach SLAM.
-fn scans_between(last: LastCorrection, now: LastCorrection) -> (u64, u64) {
+fn scans_between(last: LastPoseEstimate, now: LastPoseEstimate) -> (u64, u64) {
     let received = if now.run == last.run { now.seq.saturating_sub(last.seq).max(1) } else { 1 };
     // A restarted simulator counts from 0 again.
     let sent = now.scan_seq.checked_sub(last.scan_seq).unwrap_or(1);
@@ -80,10 +80,10 @@ mod tests {
     use super::*;
     use msg::Header;
 
-    fn correction(run: u64, seq: u64, scan_seq: u64, seconds: f64) -> Correction {
+    fn pose_estimate(run: u64, seq: u64, scan_seq: u64, seconds: f64) -> PoseEstimate {
         let header =
             Header { stamp: Stamp::from_seconds(seconds), seq, incarnation: run, ..Default::default() };
-        Correction { header, scan_seq, ..Default::default() }
+        PoseEstimate { header, scan_seq, ..Default::default() }
     }
 
     #[test]
@@ -91,7 +91,7 @@ mod tests {
         let mut scans = ScanCounter::default();
         for n in 0..100_u32 {
             let at = f64::from(n) * 0.1;
-            scans.add(&correction(1, n.into(), n.into(), at));
+            scans.add(&pose_estimate(1, n.into(), n.into(), at));
             if n > 10 {
                 for late in [0.0, 0.03, 0.099, 0.2] {
                     let rate = scans.rate_hz(Stamp::from_seconds(at + late));
@@ -105,17 +105,17 @@ mod tests {
     }
 
     #[test]
-    fn corrections_that_telemetry_missed_are_not_lost_scans() {
+    fn pose_estimates_that_telemetry_missed_are_not_lost_scans() {
         let mut scans = ScanCounter::default();
-        scans.add(&correction(1, 0, 5, 0.0));
-        scans.add(&correction(1, 1, 6, 0.1));
-        scans.add(&correction(1, 2, 9, 0.4)); // SLAM never saw 7 and 8
+        scans.add(&pose_estimate(1, 0, 5, 0.0));
+        scans.add(&pose_estimate(1, 1, 6, 0.1));
+        scans.add(&pose_estimate(1, 2, 9, 0.4)); // SLAM never saw 7 and 8
         assert_eq!((scans.received, scans.lost), (3, 2));
-        scans.add(&correction(1, 5, 12, 0.7)); // telemetry missed two answers
+        scans.add(&pose_estimate(1, 5, 12, 0.7)); // telemetry missed two answers
         assert_eq!((scans.received, scans.lost), (6, 2));
-        scans.add(&correction(2, 0, 16, 1.1)); // SLAM restarted, three scans fell between
+        scans.add(&pose_estimate(2, 0, 16, 1.1)); // SLAM restarted, three scans fell between
         assert_eq!((scans.received, scans.lost), (7, 5));
-        scans.add(&correction(2, 1, 0, 0.0)); // the simulator restarted
+        scans.add(&pose_estimate(2, 1, 0, 0.0)); // the simulator restarted
         assert_eq!((scans.received, scans.lost), (8, 5));
     }
 }

@@ -1,8 +1,8 @@
 //! Which maps are unreliable, by what SLAM last said of each robot's and merging of each pair's.
 
-use msg::{Correction, MapTransforms, MergeEdges, ROBOTS_MAX, RobotId, TrackingState};
+use msg::{MapTransforms, MergeEdges, PoseEstimate, ROBOTS_MAX, RobotId, TrackingState};
 
-/// Why a robot's map is unreliable: its corrections do not carry SLAM's evidence.
+/// Why a robot's map is unreliable: its pose estimates do not carry SLAM's evidence.
 const REASON: &str = "SLAM found evidence that this map is wrong (state unreliable)";
 
 /// The robots whose maps SLAM calls unreliable.
@@ -19,10 +19,10 @@ impl Default for UnreliableMaps {
 }
 
 impl UnreliableMaps {
-    /// Records the newest correction of a robot. A state that says nothing about the map, such as lost, changes nothing.
-    pub fn record(&mut self, robot: RobotId, correction: &Correction) {
+    /// Records the newest pose estimate of a robot. A state that says nothing about the map, such as lost, changes nothing.
+    pub fn record(&mut self, robot: RobotId, pose_estimate: &PoseEstimate) {
         let is_unreliable = &mut self.robots[robot.index()];
-        match correction.state() {
+        match pose_estimate.state() {
             TrackingState::MapUnreliable => *is_unreliable = true,
             TrackingState::Tracking | TrackingState::Degenerate => *is_unreliable = false,
             TrackingState::Starting | TrackingState::Lost => {}
@@ -68,16 +68,16 @@ mod tests {
     use super::*;
     use msg::{MapTransform, MergeEdge};
 
-    fn correction(state: TrackingState) -> Correction {
-        Correction { state: state as u32, ..Correction::default() }
+    fn pose_estimate(state: TrackingState) -> PoseEstimate {
+        PoseEstimate { state: state as u32, ..PoseEstimate::default() }
     }
 
     #[test]
     fn a_map_stays_unreliable_while_its_robot_is_lost_and_the_merged_map_is_if_it_holds_it() {
         let [first, second] = [1, 2].map(|number| RobotId::new(number).unwrap());
         let mut maps = UnreliableMaps::default();
-        maps.record(second, &correction(TrackingState::MapUnreliable));
-        maps.record(second, &correction(TrackingState::Lost));
+        maps.record(second, &pose_estimate(TrackingState::MapUnreliable));
+        maps.record(second, &pose_estimate(TrackingState::Lost));
         assert!(maps.reasons_of_robot(first).is_empty());
         assert_eq!(maps.reasons_of_robot(second).len(), 1);
         let mut transforms = MapTransforms::default();
@@ -87,7 +87,7 @@ mod tests {
         transforms.robots[1] = transforms.robots[0];
         let reasons = maps.reasons_of_merged_map(Some(&transforms), &edges);
         assert!(reasons.len() == 1 && reasons[0].starts_with("robot2: "), "{reasons:?}");
-        maps.record(second, &correction(TrackingState::Tracking));
+        maps.record(second, &pose_estimate(TrackingState::Tracking));
         assert!(maps.reasons_of_robot(second).is_empty());
         (edges.len, edges.edges[0]) =
             (1, MergeEdge { a: 1, b: 2, compared_submaps: 20, ..MergeEdge::default() });

@@ -2,7 +2,7 @@
 
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
-use msg::{Correction, Odometry, Scan, Stamp, Transforms};
+use msg::{Odometry, PoseEstimate, Scan, Stamp, Transforms};
 use reports::FleetView;
 use std::collections::BTreeMap;
 
@@ -30,7 +30,7 @@ fn a_seed_is_a_run() {
         assert!(bytes == &again[channel], "two runs differ on {channel}");
     }
     let other = messages(&config(3, 6), 20);
-    for channel in ["robot1/scan", "robot2/odometry", "robot3/correction", "merged_map"] {
+    for channel in ["robot1/scan", "robot2/odometry", "robot3/pose_estimate", "merged_map"] {
         assert!(once[channel] != other[channel], "another seed says the same on {channel}");
     }
 }
@@ -49,7 +49,7 @@ fn a_seed_is_a_run_though_starts_are_unknown() {
 }
 
 #[test]
-fn a_recording_replays_to_the_same_corrections() {
+fn a_recording_replays_to_the_same_pose_estimates() {
     let config = config(1, 9);
     let said = messages(&config, 20);
     let odometry = said["robot1/odometry"].chunks_exact(size_of::<Odometry>());
@@ -57,21 +57,22 @@ fn a_recording_replays_to_the_same_corrections() {
     let mut slam = slam::Slam::new(config.slam.clone());
     let mut replayed = Vec::new();
     // The channel's numbers are not SLAM's.
-    let first: Correction =
-        bytemuck::pod_read_unaligned(&said["robot1/correction"][..size_of::<Correction>()]);
+    let first: PoseEstimate =
+        bytemuck::pod_read_unaligned(&said["robot1/pose_estimate"][..size_of::<PoseEstimate>()]);
     let incarnation = first.header.incarnation;
     for (seq, scan) in said["robot1/scan"].chunks_exact(size_of::<Scan>()).enumerate() {
         let scan: Box<Scan> = Box::new(bytemuck::pod_read_unaligned(scan));
         while let Some(odometry) = odometry.next_if(|odometry| odometry.header.stamp <= scan.header.stamp) {
             slam.add_odometry(&odometry);
         }
-        let mut correction = slam.process(&scan).correction;
+        let mut pose_estimate = slam.process(&scan).pose_estimate;
         slam.work();
-        (correction.header.seq, correction.header.sent.0) = (seq as u64, correction.header.stamp.0 as u64);
-        correction.header.incarnation = incarnation;
-        replayed.extend_from_slice(bytemuck::bytes_of(&correction));
+        (pose_estimate.header.seq, pose_estimate.header.sent.0) =
+            (seq as u64, pose_estimate.header.stamp.0 as u64);
+        pose_estimate.header.incarnation = incarnation;
+        replayed.extend_from_slice(bytemuck::bytes_of(&pose_estimate));
     }
-    assert!(said["robot1/correction"] == replayed, "the recording replays to other corrections");
+    assert!(said["robot1/pose_estimate"] == replayed, "the recording replays to other pose estimates");
 }
 
 #[test]
@@ -137,7 +138,7 @@ fn every_transform_reaches_a_client_once_and_in_order() {
     client.subscribe("/tf", "tf2_msgs/TFMessage");
     client.connect();
     let mut links: BTreeMap<String, Traffic<Stamp>> = BTreeMap::new();
-    let mut corrections: BTreeMap<String, Traffic<[f64; 2]>> = BTreeMap::new();
+    let mut pose_estimates: BTreeMap<String, Traffic<[f64; 2]>> = BTreeMap::new();
     for _ in 0..20 * 100 {
         fleet.tick(&mut |channel, bytes| {
             let Some((robot, name)) = channel.strip_prefix("robot").and_then(|rest| rest.split_once('/'))
@@ -147,10 +148,10 @@ fn every_transform_reaches_a_client_once_and_in_order() {
             if name == "transforms" {
                 let message: Transforms = bytemuck::pod_read_unaligned(bytes);
                 links.entry(robot.into()).or_default().written.push(message.header.stamp);
-            } else if name == "correction" {
-                let correction: Correction = bytemuck::pod_read_unaligned(bytes);
-                let place = correction.map_from_odom().map(|place| [place.x_m, place.y_m]);
-                corrections.entry(robot.into()).or_default().written.extend(place);
+            } else if name == "pose_estimate" {
+                let pose_estimate: PoseEstimate = bytemuck::pod_read_unaligned(bytes);
+                let place = pose_estimate.map_from_odom().map(|place| [place.x_m, place.y_m]);
+                pose_estimates.entry(robot.into()).or_default().written.extend(place);
             }
         });
         client.receive(|_, payload| {
@@ -161,21 +162,21 @@ fn every_transform_reaches_a_client_once_and_in_order() {
                     links.entry(robot.into()).or_default().received.push(transform.stamp);
                 } else if let Some(robot) = child.strip_prefix("odom_") {
                     let [x_m, y_m, _] = transform.translation;
-                    corrections.entry(robot.into()).or_default().received.push([x_m, y_m]);
+                    pose_estimates.entry(robot.into()).or_default().received.push([x_m, y_m]);
                 }
             }
         });
     }
-    assert_eq!((links.len(), corrections.len()), (3, 3));
+    assert_eq!((links.len(), pose_estimates.len()), (3, 3));
     for (robot, Traffic { written, received }) in &links {
         assert!(written.len() > 390, "robot{robot}: {} messages in 20 s", written.len());
         assert_eq!(written, received, "transforms of robot{robot}");
     }
-    for (robot, Traffic { written, received }) in &corrections {
-        assert!(written.len() > 190, "robot{robot}: {} corrections in 20 s", written.len());
-        // A correction may be sent again, never left out.
+    for (robot, Traffic { written, received }) in &pose_estimates {
+        assert!(written.len() > 190, "robot{robot}: {} pose estimates in 20 s", written.len());
+        // A pose estimate may be sent again, never left out.
         let mut received = received.iter();
         let lost = written.iter().position(|place| !received.any(|other| other == place));
-        assert_eq!(lost, None, "of robot{robot}'s corrections, this one did not arrive");
+        assert_eq!(lost, None, "of robot{robot}'s pose estimates, this one did not arrive");
     }
 }

@@ -85,10 +85,10 @@ impl Duo {
                 let at = member.truth.world_from_base;
                 member.way_m.push([at.x_m, at.y_m]);
                 member.simulator.scan_into(&mut member.scan);
-                let correction = member.slam.process(&member.scan).correction;
+                let pose_estimate = member.slam.process(&member.scan).pose_estimate;
                 member.slam.work();
                 let radius_m = self.config.slam.map.robot_radius_m;
-                self.merger.add_robot_pose(member.robot, correction.map_from_base, radius_m);
+                self.merger.add_robot_pose(member.robot, pose_estimate.map_from_base, radius_m);
                 self.merger.update_tiles(member.robot, member.slam.tiles()).unwrap();
             }
         }

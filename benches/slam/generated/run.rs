@@ -197,15 +197,13 @@ impl Outcome {
             if let Some(node) = result.node {
                 front.add_frame_update(back.add_node(node));
             }
-            let correction = result.correction;
-            self.lost_at_end = correction.state() == TrackingState::Lost;
+            let pose_estimate = result.pose_estimate;
+            self.lost_at_end = pose_estimate.state() == TrackingState::Lost;
             if !self.lost_at_end && index % NEES_EVERY == NEES_EVERY - 1 {
                 let expected = map_from_world(back, steps).map(|map_from_world| map_from_world * step.truth);
-                nees.extend(
-                    expected.and_then(|expected| {
-                        nees_of(correction.map_from_base, expected, correction.covariance)
-                    }),
-                );
+                nees.extend(expected.and_then(|expected| {
+                    nees_of(pose_estimate.map_from_base, expected, pose_estimate.covariance)
+                }));
             }
         }
         back.finish();

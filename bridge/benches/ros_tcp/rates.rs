@@ -7,7 +7,7 @@ use bridge::FleetMessage;
 use bridge::command::name;
 use bridge::frame::Side;
 use bridge::ros::{Message, Twist, encode};
-use msg::{Correction, RobotId};
+use msg::{PoseEstimate, RobotId};
 use std::io::Write;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -32,7 +32,7 @@ pub fn rate_out(per_second: u64) {
         let job: Job = Box::new(move |bridge| {
             let robot = RobotId::new(1).unwrap();
             (0..per_second / 200)
-                .for_each(|_| bridge.publish(FleetMessage::Correction(robot, &Correction::default())));
+                .for_each(|_| bridge.publish(FleetMessage::PoseEstimate(robot, &PoseEstimate::default())));
         });
         server.jobs.send(job).unwrap();
     }

@@ -196,8 +196,8 @@ impl Transport for DdsEndpoint {
         let state = &mut *self.state.borrow_mut();
         let now = self.now();
         state.publisher.publish(message, &mut state.writers.sink(now));
-        if let FleetMessage::Correction(robot, correction) = message {
-            state.publisher.receive_correction(robot, correction, now);
+        if let FleetMessage::PoseEstimate(robot, pose_estimate) = message {
+            state.publisher.receive_pose_estimate(robot, pose_estimate, now);
             state.repeat_transforms(now);
         }
     }

@@ -10,11 +10,11 @@ use super::odom_frames::OdomFrames;
 use super::static_transforms::StaticTransformSet;
 use super::table::FleetTopic;
 use crate::input::Input;
-use crate::repeater::{CorrectionRepeater, Repetition};
+use crate::repeater::{PoseEstimateRepeater, Repetition};
 use json::{exploration_json, navigation_json, zones_json};
 use msg::{
-    Clock, Correction, ExclusionZones, ExplorationReport, FleetStats, GridView, MapTransforms, Monotonic,
-    NavigationPlan, NavigationReport, Odometry, RobotFrame, RobotId, Scan, Stamp, Transforms,
+    Clock, ExclusionZones, ExplorationReport, FleetStats, GridView, MapTransforms, Monotonic, NavigationPlan,
+    NavigationReport, Odometry, PoseEstimate, RobotFrame, RobotId, Scan, Stamp, Transforms,
 };
 use ros_messages::cdr::Writer;
 use ros_messages::map_tiles::write_map_tiles;
@@ -37,7 +37,7 @@ pub enum FleetMessage<'a> {
     /// A robot's wheel odometry: `/robotN/odom`.
     Odometry(RobotId, &'a Odometry),
     /// SLAM's transform map -> odom and pose of a robot: `/tf` and `/robotN/pose`.
-    Correction(RobotId, &'a Correction),
+    PoseEstimate(RobotId, &'a PoseEstimate),
     /// The transforms from the robots' maps to the merged map: `/tf`, on change and once a second.
     MapTransforms(&'a MapTransforms),
     /// The run's time: `/clock`.
@@ -106,11 +106,11 @@ struct OdometryCovariances {
 
 /// What repeated transforms need.
 struct RepeatedTransforms {
-    repeater: CorrectionRepeater,
+    repeater: PoseEstimateRepeater,
     /// The frames of external robots, as they call them.
     frames: Option<OdomFrames>,
-    /// The corrections that are being sent.
-    due: Vec<(RobotId, Correction)>,
+    /// The pose estimates that are being sent.
+    due: Vec<(RobotId, PoseEstimate)>,
 }
 
 /// Publishes the fleet's messages on a transport's topics.
@@ -164,7 +164,7 @@ impl FleetPublisher {
         let robot_count = self.robots.count();
         let is_external = self.robot_transforms == RobotTransformPolicy::ByRobots;
         self.repeated = Some(RepeatedTransforms {
-            repeater: CorrectionRepeater::new(repetition, robot_count),
+            repeater: PoseEstimateRepeater::new(repetition, robot_count),
             frames: is_external.then(|| OdomFrames::new(robot_count)),
             due: Vec::with_capacity(robot_count),
         });
@@ -214,8 +214,8 @@ impl FleetPublisher {
             FleetMessage::Odometry(robot, odometry) if self.has(robot) => {
                 self.publish_odometry(robot, odometry, sink);
             }
-            FleetMessage::Correction(robot, correction) if self.has(robot) => {
-                self.publish_correction(robot, correction, sink);
+            FleetMessage::PoseEstimate(robot, pose_estimate) if self.has(robot) => {
+                self.publish_pose_estimate(robot, pose_estimate, sink);
             }
             FleetMessage::Map(robot, map) if self.has(robot) => {
                 let (frame, values) = (self.names.map(robot), &self.values.trinary);
@@ -230,7 +230,7 @@ impl FleetPublisher {
             FleetMessage::Scan(..)
             | FleetMessage::Transforms(..)
             | FleetMessage::Odometry(..)
-            | FleetMessage::Correction(..)
+            | FleetMessage::PoseEstimate(..)
             | FleetMessage::Map(..)
             | FleetMessage::NavigationState(..)
             | FleetMessage::Plan(..) => {}
@@ -318,32 +318,37 @@ impl FleetPublisher {
         }
     }
 
-    fn publish_correction(&mut self, robot: RobotId, correction: &Correction, sink: &mut impl TopicSink) {
+    fn publish_pose_estimate(
+        &mut self,
+        robot: RobotId,
+        pose_estimate: &PoseEstimate,
+        sink: &mut impl TopicSink,
+    ) {
         if self.robot_transforms == RobotTransformPolicy::ByRobots {
             // Nobody else may say the time there.
-            self.now = self.now.max(correction.header.stamp);
+            self.now = self.now.max(pose_estimate.header.stamp);
         }
-        let Some(correction) = self.in_published_map(correction) else { return };
+        let Some(pose_estimate) = self.in_published_map(pose_estimate) else { return };
         let (names, frame) = (&self.names, self.names.map(robot));
-        let correction = &correction;
-        sink.send(FleetTopic::Pose, Some(robot), |to| write::pose_estimate(to, frame, correction));
+        let pose_estimate = &pose_estimate;
+        sink.send(FleetTopic::Pose, Some(robot), |to| write::pose_estimate(to, frame, pose_estimate));
         // Where odometry was never known, `odom` lies nowhere: no transform is sent.
-        let Some(map_from_odom) = correction.map_from_odom().filter(|_| self.repeated.is_none()) else {
+        let Some(map_from_odom) = pose_estimate.map_from_odom().filter(|_| self.repeated.is_none()) else {
             return;
         };
-        let stamp = correction.header.stamp;
+        let stamp = pose_estimate.header.stamp;
         let encode = |to: &mut Writer<'_>| write::map_from_odom(to, names, robot, stamp, map_from_odom);
         sink.send(FleetTopic::Transforms, None, encode);
     }
 
-    /// Returns a correction in the map that its frame names: a robot with plain names has the merged map alone.
+    /// Returns a pose estimate in the map that its frame names: a robot with plain names has the merged map alone.
     ///
     /// `None` while that map's transform is not known.
-    fn in_published_map(&self, correction: &Correction) -> Option<Correction> {
+    fn in_published_map(&self, pose_estimate: &PoseEstimate) -> Option<PoseEstimate> {
         if !self.robots.is_plain() {
-            return Some(*correction);
+            return Some(*pose_estimate);
         }
-        Some(correction.transformed(self.map_transforms.as_ref()?.robots[0].known_pose()?))
+        Some(pose_estimate.transformed(self.map_transforms.as_ref()?.robots[0].known_pose()?))
     }
 
     fn set_map_transforms(&mut self, transforms: &MapTransforms, sink: &mut impl TopicSink) {

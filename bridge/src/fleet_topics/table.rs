@@ -152,7 +152,7 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 21] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_SCAN_DEPTH),
-        ..row(FleetTopic::Pose, "/robotN/pose", PoseWithCovarianceStamped::TYPE, "robotN/correction")
+        ..row(FleetTopic::Pose, "/robotN/pose", PoseWithCovarianceStamped::TYPE, "robotN/pose_estimate")
     },
     OutgoingTopic {
         tcp: LATCHED,
@@ -178,7 +178,7 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 21] = [
     OutgoingTopic {
         dds: stream(DDS_TRANSFORMS_DEPTH),
         external_only: true,
-        ..row(FleetTopic::RobotTransforms, "/robotN/tf", TfMessage::TYPE, "robotN/correction")
+        ..row(FleetTopic::RobotTransforms, "/robotN/tf", TfMessage::TYPE, "robotN/pose_estimate")
     },
     OutgoingTopic {
         tcp: stream(1),

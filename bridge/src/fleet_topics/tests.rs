@@ -3,7 +3,7 @@
 use super::*;
 use crate::input::Input;
 use crate::repeater::Repetition;
-use msg::{Correction, Header, MapTransform, MapTransforms, Pose2, TrackingState};
+use msg::{Header, MapTransform, MapTransforms, Pose2, PoseEstimate, TrackingState};
 use ros_messages::OdometrySigmas;
 use ros_messages::{Odometry, TfMessage, TransformStamped, decode, encode};
 use std::time::Duration;
@@ -60,13 +60,13 @@ fn publisher(robot_transforms: RobotTransformPolicy) -> FleetPublisher {
 }
 
 /// SLAM's answer at 5 s of the run.
-fn correction(state: TrackingState) -> Correction {
+fn pose_estimate(state: TrackingState) -> PoseEstimate {
     let header = Header { stamp: Stamp(5_000_000_000), ..Header::default() };
-    Correction {
+    PoseEstimate {
         header,
         map_from_odom: Pose2::new(1.0, 0.0, 0.0),
         state: state as u32,
-        ..Correction::default()
+        ..PoseEstimate::default()
     }
 }
 
@@ -83,10 +83,10 @@ fn the_whole_chain_is_repeated_and_dated_ahead() {
     transforms.robots[0] = MapTransform { known: 1, ..MapTransform::default() };
     publisher.publish(FleetMessage::MapTransforms(&transforms), &mut sent);
     sent.take_transforms();
-    let answer = correction(TrackingState::Tracking);
-    publisher.publish(FleetMessage::Correction(robot(1), &answer), &mut sent);
+    let answer = pose_estimate(TrackingState::Tracking);
+    publisher.publish(FleetMessage::PoseEstimate(robot(1), &answer), &mut sent);
     assert!(sent.take_transforms().is_empty(), "once, by the repetition");
-    publisher.receive_correction(robot(1), &answer, ms(0));
+    publisher.receive_pose_estimate(robot(1), &answer, ms(0));
     publisher.repeat_transforms(ms(0), &mut sent);
     publisher.repeat_transforms(ms(20), &mut sent);
     assert_eq!(
@@ -98,19 +98,19 @@ fn the_whole_chain_is_repeated_and_dated_ahead() {
             "/tf: 5220 map_1 -> odom_1"
         ]
     );
-    publisher.receive_correction(robot(1), &correction(TrackingState::Lost), ms(40));
+    publisher.receive_pose_estimate(robot(1), &pose_estimate(TrackingState::Lost), ms(40));
     publisher.repeat_transforms(ms(40), &mut sent);
     assert!(sent.take_transforms().is_empty(), "a lost robot's transform is not known");
 }
 
 #[test]
 fn external_robots_get_map_to_odom_in_their_own_tree() {
-    let answer = correction(TrackingState::Tracking);
+    let answer = pose_estimate(TrackingState::Tracking);
     // The transforms of both robots at the answer, after these messages of theirs.
     let chains = |messages: &[(Input, Vec<u8>)]| {
         let (mut publisher, mut sent) = (publisher(RobotTransformPolicy::ByRobots), Sent::default());
         messages.iter().for_each(|(input, payload)| publisher.learn_frames(*input, payload));
-        [1, 2].iter().for_each(|number| publisher.receive_correction(robot(*number), &answer, ms(0)));
+        [1, 2].iter().for_each(|number| publisher.receive_pose_estimate(robot(*number), &answer, ms(0)));
         publisher.repeat_transforms(ms(0), &mut sent);
         sent.take_transforms()
     };

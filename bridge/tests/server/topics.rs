@@ -11,7 +11,7 @@ use bridge::ros::{
 use bridge::{BridgeConfig, FleetMessage};
 use bytemuck::Zeroable;
 use msg::{
-    Correction, FleetStats, GridHeader, GridView, MapTransform, MapTransforms, Pose2, Stamp, Transforms,
+    FleetStats, GridHeader, GridView, MapTransform, MapTransforms, Pose2, PoseEstimate, Stamp, Transforms,
 };
 
 #[test]
@@ -82,14 +82,14 @@ fn each_type_of_message_reaches_its_subscriber() {
         ));
         assert_eq!(client.message::<TfMessage>("/tf").await.transforms, []);
         // While `odom` lies nowhere, no transform of it is published.
-        served.bridge.publish(FleetMessage::Correction(
+        served.bridge.publish(FleetMessage::PoseEstimate(
             robot(1),
-            &Correction { header: header(9), map_from_odom_unknown: 1, ..Default::default() },
+            &PoseEstimate { header: header(9), map_from_odom_unknown: 1, ..Default::default() },
         ));
         let map_from_odom = Pose2::new(1.0, 0.0, 0.0);
-        served.bridge.publish(FleetMessage::Correction(
+        served.bridge.publish(FleetMessage::PoseEstimate(
             robot(2),
-            &Correction { header: header(9), map_from_odom, ..Default::default() },
+            &PoseEstimate { header: header(9), map_from_odom, ..Default::default() },
         ));
         let tf: TfMessage = client.message("/tf").await;
         assert_eq!(tf.transforms[0].child_frame_id, "odom_2");
@@ -100,7 +100,7 @@ fn each_type_of_message_reaches_its_subscriber() {
 fn messages_of_robots_beyond_the_fleet_are_dropped() {
     with_bridge(Default::default(), async |served| {
         served.bridge.publish(FleetMessage::Scan(robot(3), &msg::Scan::zeroed()));
-        served.bridge.publish(FleetMessage::Correction(robot(16), &Correction::default()));
+        served.bridge.publish(FleetMessage::PoseEstimate(robot(16), &PoseEstimate::default()));
         assert_eq!(served.bridge.counters().sent, 0);
     });
 }

@@ -10,7 +10,7 @@ use bridge::ros::{Message, PoseStamped, encode};
 use bridge::world::ExternalWorld;
 use bridge::{Bridge, BridgeConfig, FleetMessage, RobotNames};
 use msg::{
-    Correction, Monotonic, NavigationAction, NavigationCommand, NavigationReport, NavigationStatus, Pose2,
+    Monotonic, NavigationAction, NavigationCommand, NavigationReport, NavigationStatus, Pose2, PoseEstimate,
     RobotId, Stamp, TrackingState,
 };
 use std::cell::RefCell;
@@ -161,13 +161,13 @@ fn a_goal_is_executed_reported_and_its_result_waits_for_the_end() {
     let driving = actions.report(number, NavigationStatus::Driving, 0, "");
     assert_eq!(driving.statuses(POSE), [GoalStatus::Executing as u8]);
     assert!(driving.feedback(POSE).is_empty(), "where the robot is is not known");
-    let correction = Correction {
+    let pose_estimate = PoseEstimate {
         map_from_base: Pose2::new(0.25, 0.5, 0.0),
         state: TrackingState::Tracking as u32,
         nodes: 1,
-        ..Correction::default()
+        ..PoseEstimate::default()
     };
-    actions.simulation.bridge.publish(FleetMessage::Correction(ROBOT, &correction));
+    actions.simulation.bridge.publish(FleetMessage::PoseEstimate(ROBOT, &pose_estimate));
     let driving = actions.report(number, NavigationStatus::Recovering, 0, "");
     let [feedback] = driving.feedback(POSE)[..] else { panic!("{driving:?}") };
     // Identifier, stamp, frame `map_2`, pose, two durations, recoveries and distance.

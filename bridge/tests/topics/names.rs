@@ -8,7 +8,7 @@ use bridge::ros::{
 use bridge::world::{ExternalWorld, WorldMessage};
 use bridge::{Bridge, BridgeConfig, FleetMessage, RobotNames};
 use msg::{
-    Correction, GridHeader, GridView, Header, MapTransform, MapTransforms, Monotonic, Pose2, RobotId, Stamp,
+    GridHeader, GridView, Header, MapTransform, MapTransforms, Monotonic, Pose2, PoseEstimate, RobotId, Stamp,
 };
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -68,10 +68,10 @@ fn edge(parent: &str, child: &str, x_m: f64) -> TransformStamped {
     }
 }
 
-fn correction(x_m: f64) -> Correction {
+fn pose_estimate(x_m: f64) -> PoseEstimate {
     let header = Header { stamp: STAMP, ..Header::default() };
     let pose = Pose2::new(x_m, 0.0, 0.0);
-    Correction { header, map_from_odom: pose, map_from_base: pose, ..Correction::default() }
+    PoseEstimate { header, map_from_odom: pose, map_from_base: pose, ..PoseEstimate::default() }
 }
 
 fn map_transforms(x_m: f64) -> MapTransforms {
@@ -113,13 +113,13 @@ fn unitys_navigation_example_is_mapped_under_its_own_names() {
     let [(_, text)] = refusals.as_slice() else { panic!("{refusals:?}") };
     assert!(String::from_utf8_lossy(text).contains("map -> odom"), "the rest is taken, and this is said");
 
-    bridge.publish(FleetMessage::Correction(RobotId::new(1).unwrap(), &correction(0.5)));
+    bridge.publish(FleetMessage::PoseEstimate(RobotId::new(1).unwrap(), &pose_estimate(0.5)));
     assert!(
         unity.take::<TfMessage>("/tf").is_empty(),
         "the map's place is not known yet: nothing is invented"
     );
     bridge.publish(FleetMessage::MapTransforms(&map_transforms(2.0)));
-    bridge.publish(FleetMessage::Correction(RobotId::new(1).unwrap(), &correction(0.5)));
+    bridge.publish(FleetMessage::PoseEstimate(RobotId::new(1).unwrap(), &pose_estimate(0.5)));
     let frames: Vec<TfMessage> = unity.take("/tf");
     let [tree] = frames.as_slice() else { panic!("{frames:?}") };
     let [of_map] = tree.transforms.as_slice() else { panic!("{tree:?}") };
@@ -174,7 +174,7 @@ fn robots_have_any_names_and_namespaces() {
         "robot2 0.10",
     ];
     assert_eq!(*log.borrow(), expected);
-    bridge.publish(FleetMessage::Correction(RobotId::new(2).unwrap(), &correction(1.0)));
+    bridge.publish(FleetMessage::PoseEstimate(RobotId::new(2).unwrap(), &pose_estimate(1.0)));
     let poses: Vec<PoseWithCovarianceStamped> = client.take("/lab/bob/pose");
     assert_eq!(poses[0].frame_id, "map_lab_bob");
 }

@@ -93,8 +93,8 @@ fn publish_world(world: &TestWorld, bridge: &Bridge, step: u64, now: Stamp) {
         bridge.publish(FleetMessage::Transforms(robot, &transforms(header, world.pose(i))));
         if step.is_multiple_of(SCAN_STEPS) {
             bridge.publish(FleetMessage::Scan(robot, &scan(header, world.ranges_m(i))));
-            let correction = msg::Correction { header, ..Default::default() };
-            bridge.publish(FleetMessage::Correction(robot, &correction));
+            let pose_estimate = msg::PoseEstimate { header, ..Default::default() };
+            bridge.publish(FleetMessage::PoseEstimate(robot, &pose_estimate));
         }
     }
     bridge.publish(FleetMessage::MapTransforms(&map_transforms));

@@ -12,8 +12,8 @@ use super::Endpoint::{External, Of, OfFirst, OfOthers, OtherMachines};
 use super::Program::{EdgesTool, Launcher, LinkTool, RecordTool, SlamTool, Worker};
 use super::{Channel, ChannelRow, Endpoint, Program, Scope, TypedRow};
 use msg::{
-    Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Odometry,
-    OperatorEvent, PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, ScanDemand, SlamRequest,
+    Clock, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Odometry, OperatorEvent,
+    PatchHeader, PoseEstimate, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, ScanDemand, SlamRequest,
     SlamResponse, Submap, SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
 };
 
@@ -138,8 +138,8 @@ static CLOCK: TypedRow<Clock> = TypedRow::new(ChannelRow {
     readers: &[Of(BRIDGE), Of(RECORD), Of(RecordTool)],
     ..STREAM
 });
-static CORRECTION: TypedRow<Correction> = TypedRow::new(ChannelRow {
-    name: "correction",
+static POSE_ESTIMATE: TypedRow<PoseEstimate> = TypedRow::new(ChannelRow {
+    name: "pose_estimate",
     content: "the pose in the robot's map, one for each scan",
     writers: SLAM_OR_LINK,
     readers: POSE_AND_MAP_READERS,
@@ -259,7 +259,7 @@ pub static CHANNELS: [&ChannelRow; 29] = [
     &TRANSFORMS.row,
     &TRUTH.row,
     &CLOCK.row,
-    &CORRECTION.row,
+    &POSE_ESTIMATE.row,
     &SLAM_REQUEST.row,
     &SLAM_RESPONSE.row,
     &ROBOT_MAP.row,
@@ -318,9 +318,9 @@ pub fn clock() -> Channel<Clock> {
     CLOCK.of_fleet()
 }
 
-/// `robotK/correction`: SLAM's pose in the robot's map, one for each scan.
-pub fn correction(robot: RobotId) -> Channel<Correction> {
-    CORRECTION.of_robot(robot)
+/// `robotK/pose_estimate`: SLAM's pose in the robot's map, one for each scan.
+pub fn pose_estimate(robot: RobotId) -> Channel<PoseEstimate> {
+    POSE_ESTIMATE.of_robot(robot)
 }
 
 /// `robotK/slam_request`: requests of people and programs to the robot's SLAM.

@@ -91,9 +91,9 @@ impl FrontEnd {
             slipped: false,
             worst_position_sigma_m: f64::INFINITY,
         };
-        let correction = self.correction(scan, &pose, None);
+        let pose_estimate = self.pose_estimate(scan, &pose, None);
         ScanResult {
-            correction,
+            pose_estimate,
             local_covariance: pose.covariance,
             rejected: Some(rejection),
             node: None,

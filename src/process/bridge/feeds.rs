@@ -75,8 +75,8 @@ pub fn open_feeds<P: Ports + 'static, T: Transport + 'static>(
         feeds.push(forward(ports, transport, &channel::scan(robot), move |to, scan| {
             to.publish(FleetMessage::Scan(robot, scan));
         })?);
-        feeds.push(forward(ports, transport, &channel::correction(robot), move |to, correction| {
-            to.publish(FleetMessage::Correction(robot, correction));
+        feeds.push(forward(ports, transport, &channel::pose_estimate(robot), move |to, pose_estimate| {
+            to.publish(FleetMessage::PoseEstimate(robot, pose_estimate));
         })?);
         feeds.push(forward(ports, transport, &channel::navigation_state(robot), move |to, report| {
             to.publish(FleetMessage::NavigationState(robot, report));

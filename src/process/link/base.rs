@@ -11,7 +11,7 @@ use ::bridge::world::{ClockOffset, SourceClock};
 use ::link::{BaseEnd, BaseEvent, DecimatedScan};
 use link_transport::Transport;
 use msg::{
-    Clock, Correction, Monotonic, RobotId, Scan, Stamp, Submap, SubmapPoses, SubmapRequest, TileMap,
+    Clock, Monotonic, PoseEstimate, RobotId, Scan, Stamp, Submap, SubmapPoses, SubmapRequest, TileMap,
     Transforms, VelocityCommand,
 };
 use std::collections::BTreeSet;
@@ -31,7 +31,7 @@ const SCAN_BEHIND_MAX_NS: i64 = 500_000_000;
 const WHOLE_MAP_WAIT_MAX: Duration = Duration::from_secs(5);
 
 struct Channels<P: Ports> {
-    correction: P::Writer<Correction>,
+    pose_estimate: P::Writer<PoseEstimate>,
     transforms: P::Writer<Transforms>,
     scan: P::Writer<Scan>,
     map: P::MapWriter,
@@ -44,7 +44,7 @@ struct Channels<P: Ports> {
 impl<P: Ports> Channels<P> {
     fn open(ports: &P, robot: RobotId) -> Result<Self, ChannelError> {
         Ok(Self {
-            correction: ports.writer(&channel::correction(robot))?,
+            pose_estimate: ports.writer(&channel::pose_estimate(robot))?,
             transforms: ports.writer(&channel::transforms(robot))?,
             scan: ports.writer(&channel::scan(robot))?,
             map: ports.map_writer(&channel::map(robot))?,
@@ -88,7 +88,7 @@ struct RobotMirror<P: Ports> {
     /// How far the robot's clock is from ours, from when its poses arrive.
     clock: SourceClock,
     /// Poses that were published: fewer than the robot's scans.
-    corrections: u64,
+    pose_estimates: u64,
     was_heard: bool,
     numbers: SubmapNumbers,
     /// Stamp of the newest pose, on the robot's clock.
@@ -181,7 +181,7 @@ impl<P: Ports> RobotMirror<P> {
             name,
             end: BaseEnd::new(session),
             clock: SourceClock::new(ClockOffset::Measured),
-            corrections: 0,
+            pose_estimates: 0,
             was_heard: false,
             numbers: SubmapNumbers::default(),
             newest_pose: Stamp(0),
@@ -229,17 +229,17 @@ impl<P: Ports> RobotMirror<P> {
                 // Without submaps: merging must not draw the robot where its former run was.
                 self.unpublished.poses = Some(bytemuck::allocation::zeroed_box());
             }
-            BaseEvent::Correction(mut correction) => {
-                self.newest_pose = correction.header.stamp;
+            BaseEvent::PoseEstimate(mut pose_estimate) => {
+                self.newest_pose = pose_estimate.header.stamp;
                 // Only this message estimates the clock: it comes at a steady rate and is small.
-                let stamp = self.clock.convert(correction.header.stamp, epoch.stamp(now));
+                let stamp = self.clock.convert(pose_estimate.header.stamp, epoch.stamp(now));
                 if let Ok(stamp) = stamp {
-                    correction.header.stamp = stamp;
-                    correction.scan_sent = epoch.moment(stamp);
+                    pose_estimate.header.stamp = stamp;
+                    pose_estimate.scan_sent = epoch.moment(stamp);
                     // Numbered anew: scans whose poses stay on the robot's machine are not lost.
-                    correction.scan_seq = self.corrections;
-                    self.corrections += 1;
-                    self.channels.correction.send(&correction);
+                    pose_estimate.scan_seq = self.pose_estimates;
+                    self.pose_estimates += 1;
+                    self.channels.pose_estimate.send(&pose_estimate);
                 }
             }
             BaseEvent::Transforms(mut transforms) if self.clock.estimate().is_some() => {

@@ -9,7 +9,7 @@ use crate::run::Run;
 use ::link::{RobotEnd, RobotEvent, ScanRate, SenderConfig, StopRequest};
 use link_transport::Transport;
 use msg::{
-    Correction, Header, Monotonic, RobotId, Scan, Submap, SubmapPoses, SubmapRequest, Transforms,
+    Header, Monotonic, PoseEstimate, RobotId, Scan, Submap, SubmapPoses, SubmapRequest, Transforms,
     VelocityCommand,
 };
 
@@ -17,7 +17,7 @@ use msg::{
 const ROBOT: RobotId = RobotId::new(1).expect("1 is the first robot's number");
 
 struct Inputs<P: Ports> {
-    corrections: P::Reader<Correction>,
+    pose_estimates: P::Reader<PoseEstimate>,
     transforms: P::Reader<Transforms>,
     scans: P::Reader<Scan>,
     map: P::MapReader,
@@ -50,7 +50,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
     /// Opens the channels. `session` is a random number that tells this process from every other.
     pub fn open(ports: &P, run: &Run, transport: T, stop: S, session: u64) -> Result<Self, ChannelError> {
         let inputs = Inputs {
-            corrections: ports.reader(&channel::correction(ROBOT))?,
+            pose_estimates: ports.reader(&channel::pose_estimate(ROBOT))?,
             transforms: ports.reader(&channel::transforms(ROBOT))?,
             scans: ports.reader(&channel::scan(ROBOT))?,
             map: ports.map_reader(&channel::map(ROBOT))?,
@@ -72,7 +72,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             outputs,
             clock: ports.clock(),
             epoch: run.epoch,
-            listeners: vec![ports.listener(&channel::correction(ROBOT))?],
+            listeners: vec![ports.listener(&channel::pose_estimate(ROBOT))?],
             invalid: InvalidMessages::default(),
             was_heard: false,
         })
@@ -127,8 +127,8 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
 
     fn read_channels(&mut self, now: Monotonic) {
         let Self { end, inputs, .. } = self;
-        if let Some(correction) = inputs.corrections.newest() {
-            end.put_correction(&correction);
+        if let Some(pose_estimate) = inputs.pose_estimates.newest() {
+            end.put_pose_estimate(&pose_estimate);
         }
         if let Some(transforms) = inputs.transforms.newest() {
             end.put_transforms(&transforms);

@@ -14,8 +14,8 @@ use ::link::Kind;
 use link_transport::Transport;
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
-    Correction, Header, IndexRect, MapHeader, Monotonic, RobotId, Role, Scan, ScanDemand, ScanPurpose, Stamp,
-    SubmapPoses, TileMap, Transforms, VelocityCommand,
+    Header, IndexRect, MapHeader, Monotonic, PoseEstimate, RobotId, Role, Scan, ScanDemand, ScanPurpose,
+    Stamp, SubmapPoses, TileMap, Transforms, VelocityCommand,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -75,7 +75,7 @@ struct RobotSide {
     link: Robot,
     map: TileMap,
     map_writer: QueueMapWriter,
-    corrections: QueueWriter<Correction>,
+    pose_estimates: QueueWriter<PoseEstimate>,
     transforms: QueueWriter<Transforms>,
     scans: QueueWriter<Scan>,
     velocities: QueueReader<VelocityCommand>,
@@ -87,7 +87,7 @@ struct BaseSide {
     network: Rc<Network>,
     link: Base,
     map: QueueMapReader,
-    corrections: QueueReader<Correction>,
+    pose_estimates: QueueReader<PoseEstimate>,
     submap_poses: QueueReader<SubmapPoses>,
     scans: QueueReader<Scan>,
     demand: QueueWriter<ScanDemand>,
@@ -132,7 +132,7 @@ impl RobotSide {
             link: link.unwrap(),
             map,
             map_writer: slam.map_writer(&channel::map(ROBOT)).unwrap(),
-            corrections: slam.writer(&channel::correction(ROBOT)).unwrap(),
+            pose_estimates: slam.writer(&channel::pose_estimate(ROBOT)).unwrap(),
             transforms: sim.writer(&channel::transforms(ROBOT)).unwrap(),
             scans: sim.writer(&channel::scan(ROBOT)).unwrap(),
             velocities: ports(&network, Role::Bridge).reader(&channel::navigation_velocity(ROBOT)).unwrap(),
@@ -151,7 +151,7 @@ impl RobotSide {
         let header = Header { stamp: Stamp(now as i64), ..Header::default() };
         self.map.header.header.stamp = header.stamp;
         self.map_writer.send(&self.map);
-        self.corrections.send(&Correction { header, ..Correction::default() });
+        self.pose_estimates.send(&PoseEstimate { header, ..PoseEstimate::default() });
         self.transforms.send(&Transforms { header, ..Transforms::default() });
         self.scans.send_with(|scan| {
             (scan.range_min_m, scan.range_max_m, scan.angle_increment_rad) = (0.12, 3.5, 0.0175);
@@ -172,7 +172,7 @@ impl BaseSide {
         Self {
             link: link.unwrap(),
             map: merge.map_reader(&channel::map(ROBOT)).unwrap(),
-            corrections: merge.reader(&channel::correction(ROBOT)).unwrap(),
+            pose_estimates: merge.reader(&channel::pose_estimate(ROBOT)).unwrap(),
             submap_poses: merge.reader(&channel::submap_poses(ROBOT)).unwrap(),
             scans: ports(&network, Role::Nav).reader(&channel::scan(ROBOT)).unwrap(),
             demand: ports(&network, Role::Bridge).writer(&channel::scan_demand()).unwrap(),
@@ -234,8 +234,8 @@ fn the_base_gets_the_robots_map_and_its_poses_by_its_own_clock() {
     (0..40).for_each(|x| machines.robot.draw(x, 50));
     machines.run(8.0);
     assert!(machines.maps_are_equal() && machines.base.map.map().tiles().count() == 40);
-    let correction = machines.base.corrections.newest().expect("poses come five times a second");
-    let late_s = (machines.now as i64 - correction.header.stamp.0) as f64 * 1e-9;
+    let pose_estimate = machines.base.pose_estimates.newest().expect("poses come five times a second");
+    let late_s = (machines.now as i64 - pose_estimate.header.stamp.0) as f64 * 1e-9;
     // The epochs of both runs are 0, so that the clocks differ by exactly that much.
     assert!((0.0..0.3).contains(&late_s), "the pose is {late_s} s old by the base's clock");
 }

@@ -6,7 +6,7 @@ use crate::run::Run;
 use ::nav::{LocalizationUncertainty, MapView, NavigatedRobot, NavigationInput, RobotObservation, ScanView};
 use msg::pose::yaw_of_quaternion;
 use msg::{
-    Correction, DenseMap, ExclusionZone, MapTransforms, Monotonic, Pose2, RobotFrame, RobotFrameTransform,
+    DenseMap, ExclusionZone, MapTransforms, Monotonic, Pose2, PoseEstimate, RobotFrame, RobotFrameTransform,
     RobotId, Scan, Stamp, TrackingState, Transforms,
 };
 
@@ -28,7 +28,7 @@ struct RobotInputs<P: Ports> {
     robot: RobotId,
     scans: P::Reader<Scan>,
     transforms: P::Reader<Transforms>,
-    corrections: P::Reader<Correction>,
+    pose_estimates: P::Reader<PoseEstimate>,
     map: MapInput<P>,
     state: RobotState,
 }
@@ -76,7 +76,7 @@ impl<P: Ports> Inputs<P> {
                 robot,
                 scans: ports.reader(&channel::scan(robot))?,
                 transforms: ports.reader(&channel::transforms(robot))?,
-                corrections: ports.reader(&channel::correction(robot))?,
+                pose_estimates: ports.reader(&channel::pose_estimate(robot))?,
                 map: MapInput::new(ports.map_reader(&channel::map(robot))?),
                 state: RobotState::default(),
             })
@@ -95,7 +95,7 @@ impl<P: Ports> Inputs<P> {
             self.newest_transforms = Some(*transforms);
         }
         let transforms = self.newest_transforms;
-        for RobotInputs { robot, scans, transforms: links, corrections, map, state } in &mut self.robots {
+        for RobotInputs { robot, scans, transforms: links, pose_estimates, map, state } in &mut self.robots {
             if let Some(scan) = scans.newest() {
                 // While nobody navigates, messages wait here: their age is that of their sending.
                 state.scan = Some((Box::new(*scan), now.min(scan.header.sent)));
@@ -103,12 +103,12 @@ impl<P: Ports> Inputs<P> {
             if let Some(links) = links.newest() {
                 state.set_frames(&links, now.min(links.header.sent));
             }
-            if let Some(correction) = corrections.newest() {
-                let is_located = correction.state() != TrackingState::Lost && correction.nodes > 0;
-                state.map_from_odom = correction.map_from_odom().filter(|_| is_located);
+            if let Some(pose_estimate) = pose_estimates.newest() {
+                let is_located = pose_estimate.state() != TrackingState::Lost && pose_estimate.nodes > 0;
+                state.map_from_odom = pose_estimate.map_from_odom().filter(|_| is_located);
                 state.uncertainty =
-                    is_located.then(|| uncertainty(&correction)).filter(|known| known.sigma_m.is_finite());
-                state.corrected = Some(now.min(correction.header.sent));
+                    is_located.then(|| uncertainty(&pose_estimate)).filter(|known| known.sigma_m.is_finite());
+                state.corrected = Some(now.min(pose_estimate.header.sent));
             }
             if map_from_robot_map(transforms.as_ref(), *robot).is_none() {
                 map.receive();
@@ -224,10 +224,10 @@ fn planar_pose(link: &RobotFrameTransform) -> Pose2 {
 }
 
 /// How well SLAM knows a robot's place in its map.
-fn uncertainty(correction: &Correction) -> LocalizationUncertainty {
+fn uncertainty(pose_estimate: &PoseEstimate) -> LocalizationUncertainty {
     LocalizationUncertainty {
-        sigma_m: correction.position_sigma_m(),
-        is_fixed_by_scan: correction.state() == TrackingState::Tracking,
+        sigma_m: pose_estimate.position_sigma_m(),
+        is_fixed_by_scan: pose_estimate.state() == TrackingState::Tracking,
     }
 }
 

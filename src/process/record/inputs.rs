@@ -7,9 +7,9 @@ use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
 use ::bridge::FleetMessage;
 use msg::{
-    Clock, Correction, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GridView,
-    GroundTruth, MapTransforms, MergeEdges, Message, Monotonic, NavigationCommand, NavigationPlan,
-    NavigationReport, Odometry, OperatorEvent, PatchHeader, RobotId, Scan, SlamRequest, Transforms,
+    Clock, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GridView, GroundTruth,
+    MapTransforms, MergeEdges, Message, Monotonic, NavigationCommand, NavigationPlan, NavigationReport,
+    Odometry, OperatorEvent, PatchHeader, PoseEstimate, RobotId, Scan, SlamRequest, Transforms,
     VelocityCommand,
 };
 use reports::{FleetView, edges_json};
@@ -22,7 +22,7 @@ struct RobotInputs<P: Ports> {
     odometry: P::Reader<Odometry>,
     transforms: P::Reader<Transforms>,
     scans: P::Reader<Scan>,
-    corrections: P::Reader<Correction>,
+    pose_estimates: P::Reader<PoseEstimate>,
     truths: P::Reader<GroundTruth>,
     goals: P::Reader<NavigationCommand>,
     slam_requests: P::Reader<SlamRequest>,
@@ -89,7 +89,7 @@ impl<P: Ports> Inputs<P> {
                 odometry: ports.reader(&channel::odometry(robot))?,
                 transforms: ports.reader(&channel::transforms(robot))?,
                 scans: ports.reader(&channel::scan(robot))?,
-                corrections: ports.reader(&channel::correction(robot))?,
+                pose_estimates: ports.reader(&channel::pose_estimate(robot))?,
                 truths: ports.reader(&channel::truth(robot))?,
                 goals: ports.reader(&channel::goal(robot))?,
                 slam_requests: ports.reader(&channel::slam_request(robot))?,
@@ -150,7 +150,7 @@ impl<P: Ports> Inputs<P> {
                 + input.odometry.receive_counts().lost
                 + input.transforms.receive_counts().lost
                 + input.scans.receive_counts().lost
-                + input.corrections.receive_counts().lost
+                + input.pose_estimates.receive_counts().lost
         };
         self.robots.iter().map(of_robot).sum::<u64>() + self.clock.receive_counts().lost
     }
@@ -168,8 +168,8 @@ impl<P: Ports> RobotInputs<P> {
             to.publish(FleetMessage::Transforms(robot, all), sent(all));
         });
         each(&mut self.scans, to, move |to, scan| to.publish(FleetMessage::Scan(robot, scan), sent(scan)));
-        each(&mut self.corrections, to, move |to, correction| {
-            to.publish(FleetMessage::Correction(robot, correction), sent(correction));
+        each(&mut self.pose_estimates, to, move |to, pose_estimate| {
+            to.publish(FleetMessage::PoseEstimate(robot, pose_estimate), sent(pose_estimate));
         });
         each(&mut self.goals, to, move |to, command| to.record_navigation_command(robot, command));
         each(&mut self.slam_requests, to, move |to, request| to.record_slam_request(robot, request));

@@ -7,7 +7,7 @@ use crate::process::heartbeat::{HealthCounters, Heartbeat};
 use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
 use ::slam::{FrontEnd, FrontEndState};
-use msg::{Correction, Header, Monotonic, Odometry, Pose2, RobotId, Role, Scan};
+use msg::{Header, Monotonic, Odometry, Pose2, PoseEstimate, RobotId, Role, Scan};
 use std::sync::mpsc::{Receiver, SyncSender};
 
 /// Scans for which a front end that begins at the last known `odom` waits for odometry: without it, the pose of the
@@ -22,7 +22,7 @@ pub struct FrontEndLoop<P: Ports> {
     scans: P::Reader<Scan>,
     scan_listener: P::Listener,
     odometry: P::Reader<Odometry>,
-    corrections: P::Writer<Correction>,
+    pose_estimates: P::Writer<PoseEstimate>,
     heartbeat: Heartbeat<P>,
     refused: u64,
 }
@@ -43,7 +43,7 @@ impl<P: Ports> FrontEndLoop<P> {
             scans: ports.reader(&channel::scan(robot))?,
             scan_listener: ports.listener(&channel::scan(robot))?,
             odometry: ports.reader(&channel::odometry(robot))?,
-            corrections: ports.writer(&channel::correction(robot))?,
+            pose_estimates: ports.writer(&channel::pose_estimate(robot))?,
             runner: FrontEndRunner::new(front, odom_pose, events, commands),
             refused: 0,
         })
@@ -68,17 +68,17 @@ impl<P: Ports> FrontEndLoop<P> {
 
 impl<P: Ports> ProcessLoop for FrontEndLoop<P> {
     fn step(&mut self) -> Monotonic {
-        let Self { runner, scans, odometry, corrections, heartbeat, refused, .. } = self;
+        let Self { runner, scans, odometry, pose_estimates, heartbeat, refused, .. } = self;
         runner.apply_commands();
         while let Some(scan) = scans.receive() {
             while let Some(odometry) = odometry.receive() {
                 runner.add_odometry(&odometry);
             }
             runner.apply_commands();
-            let (correction, used) = heartbeat.measure(|| runner.process(&scan));
+            let (pose_estimate, used) = heartbeat.measure(|| runner.process(&scan));
             *refused += u64::from(!used);
-            if let Some(correction) = correction {
-                corrections.send(&correction);
+            if let Some(pose_estimate) = pose_estimate {
+                pose_estimates.send(&pose_estimate);
             }
         }
         let dropped = runner.events_lost.get();
@@ -111,7 +111,7 @@ struct FrontEndRunner {
     trajectory_start: Option<TrajectoryStart>,
     /// Number of scans that have waited for odometry.
     waited: u32,
-    last: Option<Correction>,
+    last: Option<PoseEstimate>,
     /// The newest odometry.
     odometry: Option<Odometry>,
     events: SyncSender<BackEndInput>,
@@ -204,7 +204,7 @@ impl FrontEndRunner {
     }
 
     /// Returns the answer to a scan, if there is one, and whether the scan was valid.
-    fn process(&mut self, scan: &Scan) -> (Option<Correction>, bool) {
+    fn process(&mut self, scan: &Scan) -> (Option<PoseEstimate>, bool) {
         if self.paused || self.waits_for_odometry(scan) {
             self.last = self.last.map(|last| self.dead_reckoned(last, scan));
             return (self.last, true);
@@ -217,13 +217,13 @@ impl FrontEndRunner {
         }
         let mut step = self.front.process(scan);
         if step.rejected.is_none()
-            && let Some(local_from_odom) = step.correction.map_from_odom()
+            && let Some(local_from_odom) = step.pose_estimate.map_from_odom()
             && let Some(map_from_odom) = self.odom_pose.take()
         {
             let map_from_local = map_from_odom * local_from_odom.inverse();
             self.front.set_map_from_local(Some(map_from_local));
-            step.correction.map_from_base = map_from_local * step.correction.map_from_base;
-            step.correction.map_from_odom = map_from_odom;
+            step.pose_estimate.map_from_base = map_from_local * step.pose_estimate.map_from_base;
+            step.pose_estimate.map_from_odom = map_from_odom;
             self.trajectory_start = Some(TrajectoryStart::At { map_from_local });
         }
         if let Some(node) = step.node
@@ -231,7 +231,7 @@ impl FrontEndRunner {
         {
             self.trajectory_start = None;
         }
-        self.last = Some(step.correction);
+        self.last = Some(step.pose_estimate);
         (self.last, step.rejected.is_none())
     }
 
@@ -250,9 +250,9 @@ impl FrontEndRunner {
     }
 
     /// Returns the pose by odometry alone, while scans are ignored; without odometry, the last pose.
-    fn dead_reckoned(&self, last: Correction, scan: &Scan) -> Correction {
+    fn dead_reckoned(&self, last: PoseEstimate, scan: &Scan) -> PoseEstimate {
         let moved = last.map_from_odom().zip(self.front.odom_from_base(scan.header.stamp));
-        Correction {
+        PoseEstimate {
             header: Header { stamp: scan.header.stamp, ..Default::default() },
             scan_seq: scan.header.seq,
             scan_sent: scan.header.sent,

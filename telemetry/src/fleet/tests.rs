@@ -33,7 +33,7 @@ fn the_statistics_of_one_robot_are_those_of_its_messages() {
             robot(1),
             &GroundTruth { header, world_from_base: Pose2::new(1.0 + x_m, 0.5, 0.0), ..Default::default() },
         );
-        let correction = Correction {
+        let pose_estimate = PoseEstimate {
             header,
             scan_seq: n,
             scan_sent: sent,
@@ -42,7 +42,7 @@ fn the_statistics_of_one_robot_are_those_of_its_messages() {
             nodes: 4,
             ..Default::default()
         };
-        telemetry.add_correction(robot(1), &correction, Monotonic(sent.0 + 12 * MS));
+        telemetry.add_pose_estimate(robot(1), &pose_estimate, Monotonic(sent.0 + 12 * MS));
         let mut transforms = Transforms { header, len: 1, ..Default::default() };
         transforms.transforms[0] =
             RobotFrameTransform { child_frame: RobotFrame::BaseFootprint as u32, ..Default::default() };
@@ -74,8 +74,9 @@ fn a_map_from_before_a_restart_has_no_latency() {
     };
     let answer = |telemetry: &mut Telemetry, incarnation: u64, scan_sent: u64| {
         let header = Header { incarnation, ..Default::default() };
-        let correction = Correction { header, scan_sent: Monotonic(scan_sent * MS), ..Default::default() };
-        telemetry.add_correction(robot(1), &correction, Monotonic((scan_sent + 5) * MS));
+        let pose_estimate =
+            PoseEstimate { header, scan_sent: Monotonic(scan_sent * MS), ..Default::default() };
+        telemetry.add_pose_estimate(robot(1), &pose_estimate, Monotonic((scan_sent + 5) * MS));
     };
     // Telemetry starts late and gets an old map.
     arrive(&mut telemetry, 1_000, 210_000);
@@ -118,7 +119,7 @@ fn unknown_robots_and_malformed_maps_change_nothing() {
     let map = house();
     telemetry.add_map(robot(1), GridView { header: &map.header, cells: &map.cells[1..] }, Monotonic(0));
     telemetry.update_merged_map(GridView { header: &map.header, cells: &[] }, Monotonic(0));
-    telemetry.add_correction(robot(9), &Correction::default(), Monotonic(0));
+    telemetry.add_pose_estimate(robot(9), &PoseEstimate::default(), Monotonic(0));
     telemetry.add_process_health(
         &ProcessHealth { role: Role::Sim as u32, robot: 5, ..Default::default() },
         Monotonic(0),

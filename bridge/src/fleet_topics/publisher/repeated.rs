@@ -2,15 +2,15 @@
 
 use super::super::table::FleetTopic;
 use super::{FleetPublisher, TopicSink};
-use msg::{Correction, Monotonic, Pose2, RobotFrame, RobotId, Stamp};
+use msg::{Monotonic, Pose2, PoseEstimate, RobotFrame, RobotId, Stamp};
 use ros_messages::cdr::Writer;
 use ros_messages::{names, write};
 
 impl FleetPublisher {
     /// Takes SLAM's answer to a scan at a time, for [`FleetPublisher::repeat_transforms`].
-    pub fn receive_correction(&mut self, robot: RobotId, correction: &Correction, now: Monotonic) {
+    pub fn receive_pose_estimate(&mut self, robot: RobotId, pose_estimate: &PoseEstimate, now: Monotonic) {
         if let Some(repeated) = &mut self.repeated {
-            repeated.repeater.receive(robot, correction, now);
+            repeated.repeater.receive(robot, pose_estimate, now);
         }
     }
 
@@ -22,7 +22,7 @@ impl FleetPublisher {
         repeated.due.clear();
         for robot in self.robots.robots() {
             let due = repeated.repeater.take_due(robot, now);
-            repeated.due.extend(due.map(|correction| (robot, correction)));
+            repeated.due.extend(due.map(|pose_estimate| (robot, pose_estimate)));
         }
         let frames = repeated.frames.as_ref();
         // The frame `odom`, and whether the transform belongs on the robot's own topic; `None` while it is not known.
@@ -48,7 +48,7 @@ impl FleetPublisher {
     fn write_chains<'a>(
         &self,
         to: &mut Writer<'_>,
-        corrections: impl Iterator<Item = &'a (RobotId, Correction)> + Clone,
+        pose_estimates: impl Iterator<Item = &'a (RobotId, PoseEstimate)> + Clone,
         odom_of: impl Fn(RobotId) -> Option<(&'a str, bool)>,
     ) {
         let map_of = |robot: RobotId| {
@@ -56,12 +56,13 @@ impl FleetPublisher {
             pose.filter(|_| !self.robots.is_plain())
         };
         let each = |write: &mut dyn FnMut(Stamp, &str, &str, Pose2)| {
-            for (robot, correction) in corrections.clone() {
-                let (Some(published), Some((odom, _))) = (self.in_published_map(correction), odom_of(*robot))
+            for (robot, pose_estimate) in pose_estimates.clone() {
+                let (Some(published), Some((odom, _))) =
+                    (self.in_published_map(pose_estimate), odom_of(*robot))
                 else {
                     continue;
                 };
-                let (stamp, map) = (correction.header.stamp, self.names.map(*robot));
+                let (stamp, map) = (pose_estimate.header.stamp, self.names.map(*robot));
                 if let Some(map_from_robot_map) = map_of(*robot) {
                     write(stamp, names::MAP, map, map_from_robot_map);
                 }
