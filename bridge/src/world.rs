@@ -201,16 +201,17 @@ impl ExternalWorld {
     ) -> Result<(), WorldError> {
         self.check_source(origin, robot)?;
         let transform = read::odometry(&mut from)?;
-        let link = check_transform(RobotFrame::Odom, RobotFrame::BaseFootprint, &transform)?;
+        let parent_from_child = check_transform(RobotFrame::Odom, RobotFrame::BaseFootprint, &transform)?;
         let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
         let is_new = state.last_pose.is_none_or(|(_, before, _)| stamp > before);
         state.source = Some((origin.source, origin.received));
         state.has_footprint = true;
-        self.send_odometry(robot, transform.stamp, stamp, &link)?;
+        self.send_odometry(robot, transform.stamp, stamp, &parent_from_child)?;
         if is_new {
             let transforms = &mut self.transforms[robot.index()];
-            (transforms.header.stamp, transforms.len, transforms.transforms[0]) = (stamp, 1, link);
+            (transforms.header.stamp, transforms.len, transforms.transforms[0]) =
+                (stamp, 1, parent_from_child);
             self.send_transforms(robot);
         }
         Ok(())
@@ -293,7 +294,7 @@ impl ExternalWorld {
             return Ok(());
         };
         self.check_source(origin, robot)?;
-        let link = check_transform(parent_frame, child_frame, transform).map_err(wrong)?;
+        let parent_from_child = check_transform(parent_frame, child_frame, transform).map_err(wrong)?;
         let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
         state.source = Some((origin.source, origin.received));
@@ -302,10 +303,10 @@ impl ExternalWorld {
         {
             state.has_footprint |= child_frame == RobotFrame::BaseFootprint;
             if child_frame == RobotFrame::BaseFootprint || !state.has_footprint {
-                self.send_odometry(robot, transform.stamp, stamp, &link).map_err(wrong)?;
+                self.send_odometry(robot, transform.stamp, stamp, &parent_from_child).map_err(wrong)?;
             }
         }
-        self.add_transform(robot, stamp, link);
+        self.add_transform(robot, stamp, parent_from_child);
         Ok(())
     }
 

@@ -179,9 +179,9 @@ impl FleetPoseGraph {
         let index = robot.index();
         let Some(robot) = self.robots.get_mut(index) else { return };
         robot.remove();
-        for (pair, relation) in self.pairs.iter_mut().enumerate() {
-            if robots_of_pair(pair).contains(&index) {
-                *relation = RobotPair::default();
+        for (pair_index, pair) in self.pairs.iter_mut().enumerate() {
+            if robots_of_pair(pair_index).contains(&index) {
+                *pair = RobotPair::default();
             }
         }
         // Without a reference the robots that have a start fix the frame. The last of them may be gone now.

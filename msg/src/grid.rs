@@ -58,7 +58,7 @@ pub fn occupancy(cell: i8) -> Occupancy {
 
 /// Returns how many cells are not [`UNKNOWN`].
 pub fn known_count(cells: &[i8]) -> usize {
-    // Counted in bytes, 255 cells at a time, many at once.
+    // A byte holds the count of 255 cells, and many bytes are added in one instruction.
     let count = |part: &[i8]| part.iter().map(|cell| u8::from(*cell != UNKNOWN)).sum::<u8>();
     cells.chunks(usize::from(u8::MAX)).map(|part| usize::from(count(part))).sum()
 }

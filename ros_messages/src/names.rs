@@ -255,7 +255,7 @@ impl FleetFrame {
     fn name(self) -> &'static str {
         match self {
             Self::Map => MAP,
-            Self::Robot(link) => link.name(),
+            Self::Robot(frame) => frame.name(),
         }
     }
 }
@@ -310,9 +310,9 @@ mod tests {
         let plain = named(&[""]).unwrap();
         assert_eq!(plain.topic(robot(1), "scan"), "/scan");
         let frames = FrameNames::new(NameStyle::Flat, &plain);
-        let of_link = |link| frames.robot_frame(robot(1), link);
+        let name_of = |frame| frames.robot_frame(robot(1), frame);
         assert_eq!(
-            [RobotFrame::Odom, RobotFrame::BaseFootprint, RobotFrame::BaseScan].map(of_link),
+            [RobotFrame::Odom, RobotFrame::BaseFootprint, RobotFrame::BaseScan].map(name_of),
             ["odom", "base_footprint", "base_scan"]
         );
         assert_eq!(frames.map(robot(1)), MAP);

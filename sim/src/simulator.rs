@@ -281,22 +281,25 @@ impl Simulator {
         // In the URDF (rpy -1.57 0 0), the z axis of a wheel's frame points along the axle.
         let wheel = |angle_rad| DQuat::from_rotation_x(-FRAC_PI_2) * DQuat::from_rotation_z(angle_rad);
         let still = DQuat::IDENTITY;
-        let frames = [
-            frame(
+        let transforms_of_frames = [
+            frame_transform(
                 RobotFrame::Odom,
                 RobotFrame::BaseFootprint,
                 [x_m, y_m, 0.0],
                 DQuat::from_rotation_z(yaw_rad),
             ),
-            frame(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
-            frame(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
-            frame(RobotFrame::BaseLink, RobotFrame::WheelLeft, [wx, wy, wz], wheel(left_rad)),
-            frame(RobotFrame::BaseLink, RobotFrame::WheelRight, [wx, -wy, wz], wheel(right_rad)),
-            frame(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
+            frame_transform(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
+            frame_transform(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
+            frame_transform(RobotFrame::BaseLink, RobotFrame::WheelLeft, [wx, wy, wz], wheel(left_rad)),
+            frame_transform(RobotFrame::BaseLink, RobotFrame::WheelRight, [wx, -wy, wz], wheel(right_rad)),
+            frame_transform(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
         ];
-        let mut transforms =
-            Transforms { header: self.header(), len: frames.len() as u32, ..Transforms::default() };
-        transforms.transforms[..frames.len()].copy_from_slice(&frames);
+        let mut transforms = Transforms {
+            header: self.header(),
+            len: transforms_of_frames.len() as u32,
+            ..Transforms::default()
+        };
+        transforms.transforms[..transforms_of_frames.len()].copy_from_slice(&transforms_of_frames);
         transforms
     }
 }
@@ -305,19 +308,27 @@ impl Simulator {
 pub fn transforms_of(odometry: &Odometry) -> Transforms {
     let Pose2 { x_m, y_m, yaw_rad } = odometry.odom_from_base;
     let still = DQuat::IDENTITY;
-    let frames = [
-        frame(RobotFrame::Odom, RobotFrame::BaseFootprint, [x_m, y_m, 0.0], DQuat::from_rotation_z(yaw_rad)),
-        frame(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
-        frame(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
-        frame(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
+    let transforms_of_frames = [
+        frame_transform(
+            RobotFrame::Odom,
+            RobotFrame::BaseFootprint,
+            [x_m, y_m, 0.0],
+            DQuat::from_rotation_z(yaw_rad),
+        ),
+        frame_transform(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
+        frame_transform(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
+        frame_transform(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
     ];
-    let mut transforms =
-        Transforms { header: odometry.header, len: frames.len() as u32, ..Transforms::default() };
-    transforms.transforms[..frames.len()].copy_from_slice(&frames);
+    let mut transforms = Transforms {
+        header: odometry.header,
+        len: transforms_of_frames.len() as u32,
+        ..Transforms::default()
+    };
+    transforms.transforms[..transforms_of_frames.len()].copy_from_slice(&transforms_of_frames);
     transforms
 }
 
-fn frame(
+fn frame_transform(
     parent: RobotFrame,
     child: RobotFrame,
     translation_m: [f64; 3],

@@ -149,7 +149,7 @@ impl ClosureDetector {
                 result = ClosureSearchResult::NotFound;
             }
             for candidate in candidates {
-                let known = relative[candidate as usize].map(|known| errors.of(known));
+                let known = relative[candidate as usize].map(|known| errors.apply(known));
                 if let Some(found) = self.find_consistent(view, known, candidate, node) {
                     let accepted = self.confirm(view.graph, found);
                     return if accepted.is_empty() {
@@ -211,10 +211,10 @@ impl ClosureDetector {
             })
             .filter_map(|id| {
                 let relative = relative[id as usize];
-                if relative.as_ref().is_some_and(known) || !errors.matter(relative) {
+                if relative.as_ref().is_some_and(known) || !errors.has_effect(relative) {
                     return None;
                 }
-                let sigma_m = relative.map_or(f64::INFINITY, |r| errors.of(r).position_variance_m2.sqrt());
+                let sigma_m = relative.map_or(f64::INFINITY, |r| errors.apply(r).position_variance_m2.sqrt());
                 let reach = c.radius_m + (c.window_sigmas * sigma_m).min(c.window_max_m);
                 let distance = here.distance_m(graph.poses()[id as usize]);
                 (distance < reach).then_some((distance, id))

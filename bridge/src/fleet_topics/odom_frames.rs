@@ -58,8 +58,8 @@ impl OdomFrames {
             }
             Input::RobotTransforms(robot) => {
                 let _ = read::transforms(&mut from, |transform| {
-                    let link = |name| names.parse_frame_of(robot, name);
-                    if is_odometry(link(transform.frame_id), link(transform.child_frame_id)) {
+                    let frame = |name| names.parse_frame_of(robot, name);
+                    if is_odometry(frame(transform.frame_id), frame(transform.child_frame_id)) {
                         self.set(robot, transform.frame_id, Source::OwnTransforms);
                     }
                 });
@@ -96,7 +96,7 @@ fn robot_of_odometry(names: &RobotNames, transform: &Transform<'_>) -> Option<Ro
 }
 
 fn is_odometry(parent: Option<FleetFrame>, child: Option<FleetFrame>) -> bool {
-    let bases = [RobotFrame::BaseFootprint, RobotFrame::BaseLink].map(|link| Some(FleetFrame::Robot(link)));
+    let bases = [RobotFrame::BaseFootprint, RobotFrame::BaseLink].map(|frame| Some(FleetFrame::Robot(frame)));
     parent == Some(FleetFrame::Robot(RobotFrame::Odom)) && bases.contains(&child)
 }
 

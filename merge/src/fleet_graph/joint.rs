@@ -102,15 +102,15 @@ impl JointProblem {
                 problem.add_robot(index, robot, reference.filter(|reference| reference.robot == index));
             }
         }
-        for (pair, relation) in pairs.iter().enumerate() {
-            let [a, b] = robots_of_pair(pair).map(|robot| place[robot]);
+        for (index, pair) in pairs.iter().enumerate() {
+            let [a, b] = robots_of_pair(index).map(|robot| place[robot]);
             let Some((a, b)) = a.zip(b) else { continue };
             let first = [a, b].map(|place| problem.robots[place].first);
             problem.pairs.push(PairInGraph {
-                pair,
+                pair: index,
                 robots: [a, b],
-                closures: relation.closures.found().to_vec(),
-                alignment: relation.closures.alignment_edge(first),
+                closures: pair.closures.found().to_vec(),
+                alignment: pair.closures.alignment_edge(first),
             });
         }
         (!problem.robots.is_empty()).then_some(problem)

@@ -149,9 +149,9 @@ impl FleetPoseGraph {
         let robot = worse_start(pair, &self.pairs);
         self.robots[robot].withdraw_start();
         // Closures were searched where the start put the robot.
-        for (index, relation) in self.pairs.iter_mut().enumerate() {
+        for (index, pair) in self.pairs.iter_mut().enumerate() {
             if robots_of_pair(index).contains(&robot) {
-                relation.clear_evidence();
+                pair.clear_evidence();
             }
         }
     }

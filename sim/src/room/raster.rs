@@ -35,11 +35,13 @@ impl Raster {
     }
 
     /// Returns the index of the cell under a point; `None` outside of the raster.
-    pub(crate) fn index(&self, [x, y]: [f64; 2]) -> Option<usize> {
-        self.index_of_cell([
-            (x - self.origin_m[0]) / self.resolution_m,
-            (y - self.origin_m[1]) / self.resolution_m,
-        ])
+    pub(crate) fn index(&self, point_m: [f64; 2]) -> Option<usize> {
+        self.index_of_cell(self.in_cells(point_m))
+    }
+
+    /// Returns a point in cells' sides from the lower left corner.
+    fn in_cells(&self, point_m: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|axis| (point_m[axis] - self.origin_m[axis]) / self.resolution_m)
     }
 
     /// Returns the index of the cell under a point in cells' sides from the lower left corner.
@@ -75,8 +77,7 @@ impl Raster {
 
     /// Marks the cells under points of a segment, `points_per_cell` of them along a cell's side.
     pub(crate) fn mark_points(&self, cells: &mut [bool], from: [f64; 2], to: [f64; 2], points_per_cell: f64) {
-        let to_cells = |m: [f64; 2]| [0, 1].map(|axis| (m[axis] - self.origin_m[axis]) / self.resolution_m);
-        let (from, to) = (to_cells(from), to_cells(to));
+        let (from, to) = (self.in_cells(from), self.in_cells(to));
         let length = [to[0] - from[0], to[1] - from[1]];
         let steps = (length[0].hypot(length[1]) * points_per_cell).ceil().max(1.0) as usize;
         let step = length.map(|cells| cells / steps as f64);

@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn the_wrong_motion_lies_where_all_removed_closures_and_none_active_span_the_path() {
+    fn the_suspected_break_lies_where_all_removed_closures_and_none_active_span_the_path() {
         let removed = [[3, 60], [5, 62], [7, 64]];
         assert_eq!(suspected_break_of_closures(&removed, &[]), Some(SuspectedBreak { before: 7, after: 60 }));
         assert_eq!(

@@ -13,7 +13,7 @@ pub(super) enum ErrorModel {
 
 impl ErrorModel {
     /// Returns what is known of a node with these errors.
-    pub(super) fn of(self, known: RelativeUncertainty) -> RelativeUncertainty {
+    pub(super) fn apply(self, known: RelativeUncertainty) -> RelativeUncertainty {
         match self {
             Self::Random => RelativeUncertainty { bias_m: 0.0, bias_rad: 0.0, ..known },
             Self::Systematic => known.with_bias(),
@@ -21,7 +21,7 @@ impl ErrorModel {
     }
 
     /// Whether a search that counts them differs from one that does not.
-    pub(super) fn matter(self, known: Option<RelativeUncertainty>) -> bool {
+    pub(super) fn has_effect(self, known: Option<RelativeUncertainty>) -> bool {
         self == Self::Random || known.is_some_and(|known| known.bias_m.powi(2) > known.position_variance_m2)
     }
 }
@@ -49,10 +49,12 @@ mod tests {
         let [near, far] = [8, 150].map(|id: usize| known[id].unwrap());
         // 0.5 mrad a metre: 75 mrad, and 5.6 m to the side.
         assert!((far.bias_rad - 0.075).abs() < 1e-9 && (far.bias_m - 5.5875).abs() < 1e-6, "{far:?}");
-        assert!(ErrorModel::Systematic.matter(Some(far)) && !ErrorModel::Systematic.matter(Some(near)));
-        assert!(ErrorModel::Random.matter(Some(near)) && ErrorModel::Random.matter(None));
-        assert!(ErrorModel::Systematic.of(far).position_variance_m2.sqrt() > 5.58);
-        assert!(ErrorModel::Random.of(far).position_variance_m2.sqrt() < 4.0);
-        assert_eq!(ErrorModel::Random.of(far).bias_m, 0.0);
+        assert!(
+            ErrorModel::Systematic.has_effect(Some(far)) && !ErrorModel::Systematic.has_effect(Some(near))
+        );
+        assert!(ErrorModel::Random.has_effect(Some(near)) && ErrorModel::Random.has_effect(None));
+        assert!(ErrorModel::Systematic.apply(far).position_variance_m2.sqrt() > 5.58);
+        assert!(ErrorModel::Random.apply(far).position_variance_m2.sqrt() < 4.0);
+        assert_eq!(ErrorModel::Random.apply(far).bias_m, 0.0);
     }
 }

@@ -88,7 +88,7 @@ impl FleetPublisher {
     fn published_name(&self, name: &str) -> String {
         let known = self.robots.parse_frame(name).filter(|(robot, _)| self.has(*robot));
         match known {
-            Some((robot, FleetFrame::Robot(link))) => self.names.robot_frame(robot, link).into(),
+            Some((robot, FleetFrame::Robot(frame))) => self.names.robot_frame(robot, frame).into(),
             Some((robot, FleetFrame::Map)) => self.names.map(robot).into(),
             None => name.strip_prefix('/').unwrap_or(name).into(),
         }
