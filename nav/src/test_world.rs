@@ -136,6 +136,11 @@ impl TestWorld {
         &self.map
     }
 
+    /// Distance from a point to the nearest wall or piece of furniture, metres.
+    pub fn clearance_m(&self, point_m: [f64; 2]) -> f64 {
+        self.room.clearance_m(point_m)
+    }
+
     /// Number of steps in which a wall or a robot stopped a robot.
     pub fn bumps(&self) -> u32 {
         self.bumps

@@ -65,7 +65,7 @@ impl GoalMap {
         input: &GoalMapInput,
     ) -> Result<(), NavigationFailure> {
         self.draw(config, input)?;
-        let clearance_min_m = config.body.radius_m + config.body.margin_m + self.map.cell_size_m() / 2.0;
+        let clearance_min_m = self.clearance_min_m(config);
         let at_m = input.poses.position_m();
         let start = self.map.cell_at(at_m).ok_or(NavigationFailure::NoPose)?;
         let goal_m = self.nearest_fitting(input.goal_m, clearance_min_m, GOAL_SNAP_MAX_M);
@@ -135,9 +135,43 @@ impl GoalMap {
         self.map.cell_at(point_m).is_some_and(|cell| self.map.occupancy(cell) != Occupancy::Unknown)
     }
 
-    /// Whether no obstacle stands within the body's radius of a point.
+    /// Whether the body with its margin is clear of obstacles at a point.
     pub(super) fn is_clear(&self, config: &NavigatorConfig, point_m: [f64; 2]) -> bool {
-        let needed_m = config.body.radius_m + self.map.cell_size_m() / 2.0;
-        self.map.cell_at(point_m).is_some_and(|cell| self.map.clearance_m(cell) >= needed_m)
+        let is_wide = |cell| self.map.clearance_m(cell) >= self.clearance_min_m(config);
+        self.map.cell_at(point_m).is_some_and(is_wide)
+    }
+
+    /// Least clearance of a cell in which the body with its margin fits, metres.
+    fn clearance_min_m(&self, config: &NavigatorConfig) -> f64 {
+        config.body.radius_m + config.body.margin_m + self.map.cell_size_m() / 2.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_world::{Room, TestWorld};
+    use msg::Pose2;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// A robot backs up without seeing where.
+        #[test]
+        fn a_place_is_clear_although_the_map_is_off_by_most_of_the_margin(
+            door_m in 0.4..1.2_f64,
+            (x_m, y_m) in (2.6..3.4_f64, 1.2..2.8_f64),
+            away_rad in -3.2..3.2_f64,
+        ) {
+            let world = TestWorld::with_room(Room::with_door(door_m), &[Pose2::new(1.2, 2.0, 0.0)]);
+            let (config, mut map) = (NavigatorConfig::default(), world.known_map().clone());
+            let error = Pose2::new(0.05 * away_rad.cos(), 0.05 * away_rad.sin(), 0.0);
+            map.header.origin = error * map.header.origin;
+            let mut goal_map = GoalMap::default();
+            goal_map.map.copy_window(&MapView::from_log_odds(map.view()).unwrap(), [x_m, y_m]);
+            goal_map.map.compute_clearance();
+            if goal_map.is_clear(&config, [x_m, y_m]) {
+                prop_assert!(world.clearance_m([x_m, y_m]) > config.body.radius_m);
+            }
+        }
     }
 }

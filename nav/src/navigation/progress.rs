@@ -14,25 +14,25 @@ const OVERDUE_FACTOR: f64 = 5.0;
 const OVERDUE_EXTRA_S: f64 = 120.0;
 /// Robots that wait for others may do so this many times as long as they stand for obstacles.
 const WAITING_FACTOR: f64 = 3.0;
-/// Speed, distance and longest time of backing up.
+/// Speed and longest time of backing up.
 pub(super) const BACK_UP_M_S: f64 = 0.08;
-const BACK_UP_M: f64 = 0.15;
 const BACK_UP_MAX_S: f64 = 3.0;
-/// Distances behind the robot that have to be clear for it to back up, metres.
-pub(super) const BACK_UP_CHECKS_M: [f64; 3] = [0.05, 0.1, BACK_UP_M];
+/// Distances by which a robot backs up, metres: as far as all of them up to there are clear.
+pub(super) const BACK_UP_STEPS_M: [f64; 3] = [0.05, 0.1, 0.15];
 /// Longest time of turning to look around, seconds: about 100 degrees.
 const TURN_S: f64 = 2.0;
 
 /// A way to get free.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Recovery {
-    BackUp { odom_from_start: Pose2, until: Stamp },
+    BackUp { odom_from_start: Pose2, distance_m: f64, until: Stamp },
     Turn { side: f64, until: Stamp },
 }
 
 impl Recovery {
-    pub(super) fn back_up(now: Stamp, odom_from_base: Pose2) -> Self {
-        Self::BackUp { odom_from_start: odom_from_base, until: now + Duration::from_secs_f64(BACK_UP_MAX_S) }
+    pub(super) fn back_up(now: Stamp, odom_from_base: Pose2, distance_m: f64) -> Self {
+        let until = now + Duration::from_secs_f64(BACK_UP_MAX_S);
+        Self::BackUp { odom_from_start: odom_from_base, distance_m, until }
     }
 
     pub(super) fn turn(now: Stamp, side: f64) -> Self {
@@ -41,8 +41,8 @@ impl Recovery {
 
     pub(super) fn is_done(&self, now: Stamp, odom_from_base: Pose2) -> bool {
         match self {
-            Self::BackUp { odom_from_start, until } => {
-                now >= *until || odom_from_start.distance_m(odom_from_base) >= BACK_UP_M
+            Self::BackUp { odom_from_start, distance_m, until } => {
+                now >= *until || odom_from_start.distance_m(odom_from_base) >= *distance_m
             }
             Self::Turn { until, .. } => now >= *until,
         }

@@ -19,6 +19,8 @@ pub(super) struct Drive {
     pub(super) navigator: FleetNavigator,
     pub(super) steps: u64,
     pub(super) map_from_world: Pose2,
+    /// Error of the map, or of all poses in it.
+    pub(super) map_error: Pose2,
     pub(super) in_merged_map: bool,
     /// Whether the robots know where they are.
     pub(super) knows_poses: bool,
@@ -32,6 +34,7 @@ impl Drive {
             navigator: FleetNavigator::new(NavigatorConfig::default()),
             steps: 0,
             map_from_world: Pose2::IDENTITY,
+            map_error: Pose2::IDENTITY,
             in_merged_map: true,
             knows_poses: true,
             zones: Vec::new(),
@@ -58,7 +61,7 @@ impl Drive {
         }
         let now = self.now();
         let mut map = self.world.known_map().clone();
-        map.header.origin = self.map_from_world * map.header.origin;
+        map.header.origin = self.map_from_world * self.map_error * map.header.origin;
         let view = MapView::from_log_odds(map.view());
         let robots: Vec<NavigatedRobot> = (0..self.world.robot_count())
             .map(|i| NavigatedRobot {

@@ -1,7 +1,7 @@
 //! Ways of a robot to get free, and limits of its speed by what is near it.
 
 use super::super::input::RobotPoses;
-use super::super::progress::{BACK_UP_CHECKS_M, BACK_UP_M_S, Recovery};
+use super::super::progress::{BACK_UP_M_S, BACK_UP_STEPS_M, Recovery};
 use super::super::state::{NavigationFailure, NavigationState};
 use super::{OtherRobot, RobotNavigator};
 use crate::command::Twist;
@@ -63,22 +63,23 @@ impl RobotNavigator {
     }
 
     fn new_recovery(&self, now: Stamp, poses: RobotPoses, others: &[OtherRobot]) -> Recovery {
-        let is_clear = |back_m: &f64| {
-            // Robots that are too near each other already may move apart.
-            let is_clear_of = |other: &OtherRobot| {
-                let [x, y] = other.in_base_m;
-                let (before_m, after_m) = (x.hypot(y), (x + back_m).hypot(y));
-                after_m > self.config.separation_m || after_m > before_m + MOVING_APART_SHARE * back_m
-            };
-            let rear_m = poses.map_from_base.apply([-back_m - self.config.body.radius_m, 0.0]);
-            self.goal_map.is_clear(&self.config, poses.map_from_base.apply([-back_m, 0.0]))
-                && self.goal_map.is_known(rear_m)
-                && others.iter().all(is_clear_of)
+        // Robots that are too near each other already may move apart.
+        let is_clear_of = |other: &OtherRobot, back_m: f64| {
+            let [x, y] = other.in_base_m;
+            let (before_m, after_m) = (x.hypot(y), (x + back_m).hypot(y));
+            after_m > self.config.separation_m || after_m > before_m + MOVING_APART_SHARE * back_m
         };
-        if BACK_UP_CHECKS_M.iter().all(is_clear) {
-            return Recovery::back_up(now, poses.odom_from_base);
+        let is_clear = |back_m: &&f64| {
+            let [after_m, rear_m] = [**back_m, **back_m + self.config.body.radius_m]
+                .map(|behind_m| poses.map_from_base.apply([-behind_m, 0.0]));
+            self.goal_map.is_clear(&self.config, after_m)
+                && self.goal_map.is_known(rear_m)
+                && others.iter().all(|other| is_clear_of(other, **back_m))
+        };
+        match BACK_UP_STEPS_M.iter().take_while(is_clear).last() {
+            Some(back_m) => Recovery::back_up(now, poses.odom_from_base, *back_m),
+            None => Recovery::turn(now, self.turning_side()),
         }
-        Recovery::turn(now, self.turning_side())
     }
 
     /// Direction in which the robot turns to look around: always the same, so that several turns see everything.

@@ -17,6 +17,9 @@ const END_MAX_S: f64 = 300.0;
 /// Movement below which a robot stands, metres.
 const STANDING_M: f64 = 0.1;
 
+/// Error of the map that robots drive by, metres: less than the margin of paths.
+const MAP_ERROR_M: f64 = 0.04;
+
 /// Seeds of a scenario: a few, or as many as the environment variable says.
 fn seeds() -> core::ops::Range<u64> {
     let count = std::env::var("MR_SLAM_NAVIGATION_SEEDS").ok().and_then(|text| text.parse().ok());
@@ -45,6 +48,9 @@ struct Outcome {
 /// Runs until no robot drives any more: each has arrived or says why not, and none has touched anything.
 fn run_to_the_end(drive: &mut Drive, seed: u64) -> Outcome {
     let robots = drive.world.robot_count();
+    let mut random = RandomNumbers::new(seed);
+    let away_rad = jitter(&mut random, PI);
+    drive.map_error = Pose2::new(MAP_ERROR_M * away_rad.cos(), MAP_ERROR_M * away_rad.sin(), 0.0);
     let start_s = drive.now().seconds();
     let mut stands = vec![(drive.world.pose(0), start_s); robots];
     let mut unreported_s = 0.0_f64;
