@@ -41,7 +41,7 @@ pub struct Entry {
     pub thread: u32,
 }
 
-/// All counters of a fleet, as the launcher reads them, or whoever looks at a running fleet.
+/// All counters of a fleet, as the launcher and the commands that show a running fleet read them.
 pub struct ProgressBoard {
     file: File,
     bytes: Vec<u8>,

@@ -39,10 +39,10 @@ const QUERY_NODES_MIN: u32 = 5;
 const TRIES: usize = 2;
 /// Nodes nearer to each other in order than this are linked, not searched for.
 const AGO_NODES: u32 = 12;
-/// A pose nearer to the best one than this is no rival of it, metres.
-const RIVAL_M: f64 = 0.6;
-/// A pose turned by less than this against the best one is no rival of it, radians.
-const RIVAL_RAD: f64 = 0.2;
+/// A pose nearer to the best one than this is the same place, metres.
+const OTHER_PLACE_M: f64 = 0.6;
+/// A pose turned by less than this against the best one is the same place, radians.
+const OTHER_PLACE_RAD: f64 = 0.2;
 /// Largest distance between the best pose and its alignment, metres: farther off, it found other surfaces.
 const ALIGNMENT_SHIFT_MAX_M: f64 = 0.5;
 /// Least half side of the search window, metres: the graph may underestimate drift.
@@ -311,11 +311,11 @@ impl ClosureDetector {
                 .clamp(WINDOW_MIN_M, c.window_max_m),
             half_rad: (c.window_sigmas * sigmas.heading_variance_rad2.sqrt())
                 .clamp(WINDOW_MIN_RAD, c.window_max_rad),
-            pull: 0.0,
+            prediction_weight: 0.0,
         }
     }
 
-    /// The best pose in the window, if it scores enough and has no rival.
+    /// The best pose in the window, if it scores enough and no other place scores nearly as well.
     fn correlate(&mut self, query: &[PosedNode<'_>], window: &SearchWindow) -> Option<SearchPeak> {
         let c = &self.config.closures;
         let total: usize = query.iter().map(|(n, _)| n.cloud.points().len()).sum();
@@ -326,17 +326,17 @@ impl ClosureDetector {
             points.extend(node.cloud.points().iter().step_by(stride).map(|p| transform.point(p.at)));
         }
         let limits =
-            SearchLimits { score_min: c.response_min, evaluations_max: c.evaluations_max, except: None };
+            SearchLimits { score_min: c.response_min, evaluations_max: c.evaluations_max, excluded: None };
         let Some(peak) = self.field.search(&points, window, &limits, &mut self.scratch) else {
             self.counts.below_min_response += 1;
             return None;
         };
-        let rival = SearchLimits {
+        let elsewhere = SearchLimits {
             score_min: peak.score * c.ambiguity_ratio_max,
-            except: Some((peak.pose, RIVAL_M, RIVAL_RAD)),
+            excluded: Some((peak.pose, OTHER_PLACE_M, OTHER_PLACE_RAD)),
             ..limits
         };
-        let other = self.field.search(&points, window, &rival, &mut self.scratch);
+        let other = self.field.search(&points, window, &elsewhere, &mut self.scratch);
         if peak.given_up || other.is_some() {
             self.counts.ambiguous += 1;
             return None;

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SlamConfig {
-    /// Where the LiDAR sits on the robot and which of its beams are believed.
+    /// Where the LiDAR sits on the robot and which of its beams are used.
     pub lidar: LidarConfig,
     /// What odometry is trusted with.
     pub odometry: OdometryConfig,
@@ -268,7 +268,7 @@ pub struct GraphConfig {
     /// Standard deviation of errors of the heading that repeat along a way, radians per metre; 0 or more. They add up as they
     /// are, not as variances: a loop of 150 m may be 4 m off, as in a large hall whose far walls bend all links alike.
     pub bias_rad_per_m: f64,
-    /// Standard deviations by which the solved graph contradicts a closure that is then taken back;
+    /// Standard deviations by which the solved graph contradicts a closure that is then removed;
     /// above 0. 10 instead of 6 gave the same error.
     pub retract_sigmas: f64,
     /// Nodes after its cause at which a frame update takes effect in the front end; 1 or more. Enough
@@ -334,7 +334,7 @@ pub struct RelocalizeConfig {
     /// Evaluations that a search may cost; 1 to 10^9. A search that needs more is given up: 2 000
     /// 000 take about 0.9 s.
     pub evaluations_max: usize,
-    /// Nodes after which a robot that was given an estimate and was not found there is believed to
+    /// Nodes after which a robot that was given an estimate and was not found there is taken to
     /// be there, in a part that is not mapped yet; 1 or more.
     pub estimate_nodes_max: usize,
     /// Localization: path without a scan that fits after which the whole map is searched, metres;

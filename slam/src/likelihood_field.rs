@@ -65,7 +65,7 @@ pub struct SearchWindow {
     /// Half range of headings, radians.
     pub half_rad: f64,
     /// Score lost at the window's corners, relative to the centre: breaks ties towards the predicted pose.
-    pub pull: f32,
+    pub prediction_weight: f32,
 }
 
 /// The best pose of a window.
@@ -73,7 +73,7 @@ pub struct SearchWindow {
 pub struct SearchPeak {
     /// Pose of the points' frame in the field's frame.
     pub pose: Pose2,
-    /// Mean field value under the points, 0 to 1, less the pull.
+    /// Mean field value under the points, 0 to 1, less the penalty for the distance from the prediction.
     pub score: f32,
     /// Whether the search stopped at `evaluations_max`; the pose is then the best so far.
     pub given_up: bool,
@@ -86,8 +86,8 @@ pub struct SearchLimits {
     pub score_min: f32,
     /// Most candidates to be evaluated: bounds the search's time.
     pub evaluations_max: usize,
-    /// Excludes poses around this one, within metres and radians: set to search for a rival of the best pose.
-    pub except: Option<(Pose2, f64, f64)>,
+    /// Excludes poses around this one, within metres and radians: set to search for another place that scores nearly as well as the best pose.
+    pub excluded: Option<(Pose2, f64, f64)>,
 }
 
 impl LikelihoodField {
@@ -321,11 +321,11 @@ impl BranchAndBound<'_> {
             let (cx, cy) = ((i32::from(cell[0]) + x) >> level, (i32::from(cell[1]) + y) >> level);
             sum += u32::from(grid.at(cx, cy));
         }
-        sum as f32 / (255 * self.count) as f32 - self.pull(turn, x, y, level)
+        sum as f32 / (255 * self.count) as f32 - self.prediction_penalty(turn, x, y, level)
     }
 
-    /// Least score that the pull takes from a pose of the block.
-    fn pull(&self, turn: i32, x: i32, y: i32, level: usize) -> f32 {
+    /// Least score that a pose of the block loses for its distance from the prediction.
+    fn prediction_penalty(&self, turn: i32, x: i32, y: i32, level: usize) -> f32 {
         let nearest = |low: i32| {
             let high = low + (1 << level) - 1;
             if low > 0 { low } else { high.min(0) }
@@ -333,7 +333,7 @@ impl BranchAndBound<'_> {
         let (x, y) = (nearest(x) as f32, nearest(y) as f32);
         let reach = self.reach.max(1) as f32;
         let turned = turn as f32 / self.turns.max(1) as f32;
-        self.window.pull * ((x * x + y * y) / (2.0 * reach * reach) + turned * turned) / 2.0
+        self.window.prediction_weight * ((x * x + y * y) / (2.0 * reach * reach) + turned * turned) / 2.0
     }
 
     /// Searches a block depth first, best child first.
@@ -363,7 +363,7 @@ impl BranchAndBound<'_> {
 
     /// Whether a pose lies in the excluded surroundings.
     fn is_excluded(&self, candidate: Candidate) -> bool {
-        self.limits.except.is_some_and(|(pose, near_m, near_rad)| {
+        self.limits.excluded.is_some_and(|(pose, near_m, near_rad)| {
             let here = self.field.pose_of(self.window, candidate, self.step_rad);
             let turned = msg::pose::wrap_angle(here.yaw_rad - pose.yaw_rad).abs();
             here.distance_m(pose) < near_m && turned < near_rad

@@ -110,7 +110,7 @@ pub struct ProtectionArgs {
     /// Folder of this machine's key [default: below ~/.local/state/mr-slam/keys: robots/NAME, base, or router]
     #[arg(long, value_name = "DIR")]
     pub keys: Option<PathBuf>,
-    /// Accept tcp/ to other machines: whoever reaches the port can drive the robots
+    /// Accept tcp/ to other machines: anyone who reaches the port can drive the robots
     #[arg(long)]
     pub unencrypted: bool,
 }

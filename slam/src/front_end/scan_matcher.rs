@@ -154,9 +154,10 @@ impl ScanMatcher {
             centre,
             half_m: half_m.clamp(SEARCH_MIN_M, config.window_max_m),
             half_rad: half_rad.clamp(SEARCH_MIN_RAD, config.window_max_rad),
-            pull: PREDICTION_WEIGHT,
+            prediction_weight: PREDICTION_WEIGHT,
         };
-        let limits = SearchLimits { score_min: RESPONSE_MIN, evaluations_max: EVALUATIONS_MAX, except: None };
+        let limits =
+            SearchLimits { score_min: RESPONSE_MIN, evaluations_max: EVALUATIONS_MAX, excluded: None };
         let older = &self.local_maps[0].field;
         older.search(&self.points, &window, &limits, &mut self.buffers).map(|peak| peak.pose)
     }

@@ -1,5 +1,5 @@
 //! A session from a map that is only a grid (PGM and YAML): scans are taken in it, all around, from
-//! places a metre apart. Good for localization; there is no graph that could be gone on with.
+//! places a metre apart. Good for localization; there is no graph, so that mapping cannot be continued.
 
 use super::log::LogPosition;
 use super::{Session, SessionIdentity};
