@@ -23,6 +23,13 @@ pub struct RobotBody {
     pub margin_m: f64,
 }
 
+impl RobotBody {
+    /// Least clearance, metres, of a map's cell in which the body with its margin fits; cells have sides of `cell_size_m`.
+    pub fn clearance_min_m(&self, cell_size_m: f64) -> f64 {
+        self.radius_m + self.margin_m + cell_size_m / 2.0
+    }
+}
+
 impl Default for RobotBody {
     fn default() -> Self {
         Self { radius_m: 0.105, margin_m: 0.06 }

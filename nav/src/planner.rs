@@ -133,7 +133,7 @@ impl Planner {
 
     /// Searches the routes from the robot on the map of the last [`Planner::update_map`].
     pub(crate) fn search_routes(&mut self, input: &PlanningInput) -> Result<(), PlanError> {
-        let clearance_min_m = self.body.radius_m + self.body.margin_m + self.map.cell_size_m() / 2.0;
+        let clearance_min_m = self.body.clearance_min_m(self.map.cell_size_m());
         let is_started = self.routes.search_from(&self.map, input.robot_m(), clearance_min_m);
         if is_started { Ok(()) } else { Err(PlanError::StartBlocked) }
     }

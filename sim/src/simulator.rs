@@ -275,57 +275,40 @@ impl Simulator {
     }
 
     fn transforms(&self) -> Transforms {
-        let Pose2 { x_m, y_m, yaw_rad } = self.odometry.odom_from_base();
         let [wx, wy, wz] = burger::WHEEL_IN_BASE_LINK_M;
         let [left_rad, right_rad] = self.body.wheel_angles_rad();
         // In the URDF (rpy -1.57 0 0), the z axis of a wheel's frame points along the axle.
         let wheel = |angle_rad| DQuat::from_rotation_x(-FRAC_PI_2) * DQuat::from_rotation_z(angle_rad);
-        let still = DQuat::IDENTITY;
-        let transforms_of_frames = [
-            frame_transform(
-                RobotFrame::Odom,
-                RobotFrame::BaseFootprint,
-                [x_m, y_m, 0.0],
-                DQuat::from_rotation_z(yaw_rad),
-            ),
-            frame_transform(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
-            frame_transform(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
-            frame_transform(RobotFrame::BaseLink, RobotFrame::WheelLeft, [wx, wy, wz], wheel(left_rad)),
-            frame_transform(RobotFrame::BaseLink, RobotFrame::WheelRight, [wx, -wy, wz], wheel(right_rad)),
-            frame_transform(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
-        ];
-        let mut transforms = Transforms {
-            header: self.header(),
-            len: transforms_of_frames.len() as u32,
-            ..Transforms::default()
-        };
-        transforms.transforms[..transforms_of_frames.len()].copy_from_slice(&transforms_of_frames);
-        transforms
+        let [odom, base_link, scan, imu] = transforms_without_wheels(self.odometry.odom_from_base());
+        let left =
+            frame_transform(RobotFrame::BaseLink, RobotFrame::WheelLeft, [wx, wy, wz], wheel(left_rad));
+        let right =
+            frame_transform(RobotFrame::BaseLink, RobotFrame::WheelRight, [wx, -wy, wz], wheel(right_rad));
+        transforms_message(self.header(), &[odom, base_link, scan, left, right, imu])
     }
 }
 
 /// Returns the transforms of a robot whose odometry alone is known, as of a recorded one: those of its wheels are left out.
 pub fn transforms_of(odometry: &Odometry) -> Transforms {
-    let Pose2 { x_m, y_m, yaw_rad } = odometry.odom_from_base;
-    let still = DQuat::IDENTITY;
-    let transforms_of_frames = [
-        frame_transform(
-            RobotFrame::Odom,
-            RobotFrame::BaseFootprint,
-            [x_m, y_m, 0.0],
-            DQuat::from_rotation_z(yaw_rad),
-        ),
+    transforms_message(odometry.header, &transforms_without_wheels(odometry.odom_from_base))
+}
+
+/// Transforms from `odom` to the base, from there to the chassis, and from the chassis to the LiDAR and to the IMU.
+fn transforms_without_wheels(odom_from_base: Pose2) -> [RobotFrameTransform; 4] {
+    let Pose2 { x_m, y_m, yaw_rad } = odom_from_base;
+    let (turned, still) = (DQuat::from_rotation_z(yaw_rad), DQuat::IDENTITY);
+    [
+        frame_transform(RobotFrame::Odom, RobotFrame::BaseFootprint, [x_m, y_m, 0.0], turned),
         frame_transform(RobotFrame::BaseFootprint, RobotFrame::BaseLink, burger::BASE_LINK_M, still),
         frame_transform(RobotFrame::BaseLink, RobotFrame::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
         frame_transform(RobotFrame::BaseLink, RobotFrame::Imu, burger::IMU_IN_BASE_LINK_M, still),
-    ];
-    let mut transforms = Transforms {
-        header: odometry.header,
-        len: transforms_of_frames.len() as u32,
-        ..Transforms::default()
-    };
-    transforms.transforms[..transforms_of_frames.len()].copy_from_slice(&transforms_of_frames);
-    transforms
+    ]
+}
+
+fn transforms_message(header: Header, list: &[RobotFrameTransform]) -> Transforms {
+    let mut message = Transforms { header, len: list.len() as u32, ..Transforms::default() };
+    message.transforms[..list.len()].copy_from_slice(list);
+    message
 }
 
 fn frame_transform(

@@ -40,9 +40,9 @@ const TRIES: usize = 2;
 /// Nodes nearer to each other in order than this are linked, not searched for.
 const AGO_NODES: u32 = 12;
 /// A pose nearer to the best one than this is the same place, metres.
-const OTHER_PLACE_M: f64 = 0.6;
+const SAME_PLACE_M: f64 = 0.6;
 /// A pose turned by less than this against the best one is the same place, radians.
-const OTHER_PLACE_RAD: f64 = 0.2;
+const SAME_PLACE_RAD: f64 = 0.2;
 /// Largest distance between the best pose and its alignment, metres: farther off, it found other surfaces.
 const ALIGNMENT_SHIFT_MAX_M: f64 = 0.5;
 /// Least half side of the search window, metres: the graph may underestimate drift.
@@ -333,7 +333,7 @@ impl ClosureDetector {
         };
         let elsewhere = SearchLimits {
             score_min: peak.score * c.ambiguity_ratio_max,
-            excluded: Some((peak.pose, OTHER_PLACE_M, OTHER_PLACE_RAD)),
+            excluded: Some((peak.pose, SAME_PLACE_M, SAME_PLACE_RAD)),
             ..limits
         };
         let other = self.field.search(&points, window, &elsewhere, &mut self.scratch);

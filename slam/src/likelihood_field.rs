@@ -86,7 +86,8 @@ pub struct SearchLimits {
     pub score_min: f32,
     /// Most candidates to be evaluated: bounds the search's time.
     pub evaluations_max: usize,
-    /// Excludes poses around this one, within metres and radians: set to search for another place that scores nearly as well as the best pose.
+    /// Excludes poses around this one, within metres and radians: set to look for another place that scores nearly as
+    /// well as the best pose.
     pub excluded: Option<(Pose2, f64, f64)>,
 }
 

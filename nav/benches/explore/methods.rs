@@ -106,8 +106,7 @@ impl Method for Coordinated {
 
 /// Clearance that a robot needs on the map, metres.
 pub fn clearance_m(map: &ClearanceMap) -> f64 {
-    let body = RobotBody::default();
-    body.radius_m + body.margin_m + map.cell_size_m() / 2.0
+    RobotBody::default().clearance_min_m(map.cell_size_m())
 }
 
 /// Copies the map as one window around its middle.

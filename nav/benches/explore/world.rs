@@ -184,7 +184,7 @@ fn passable(plan: &Grid, room: &Room) -> Result<(ClearanceMap, RouteSearch), Str
     let centre_m = plan.view().centre_m(i64::from(plan.header.width) / 2, i64::from(plan.header.height) / 2);
     map.copy_window(&view(plan), centre_m);
     map.compute_clearance();
-    let clearance_m = body.radius_m + body.margin_m + RESOLUTION_M / 2.0;
+    let clearance_m = body.clearance_min_m(RESOLUTION_M);
     if !routes.search_from(&map, start_m, clearance_m) {
         return Err("no robot can start in the true plan".to_owned());
     }

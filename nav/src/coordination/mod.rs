@@ -209,7 +209,7 @@ impl FleetCoordinator {
 
     /// Clearance that a robot needs, metres.
     fn clearance_min_m(&self) -> f64 {
-        self.config.body.radius_m + self.config.body.margin_m + self.map.cell_size_m() / 2.0
+        self.config.body.clearance_min_m(self.map.cell_size_m())
     }
 
     /// Remembers where robots began, and what was not seen from where they arrived.

@@ -65,7 +65,7 @@ impl GoalMap {
         input: &GoalMapInput,
     ) -> Result<(), NavigationFailure> {
         self.draw(config, input)?;
-        let clearance_min_m = self.clearance_min_m(config);
+        let clearance_min_m = config.body.clearance_min_m(self.map.cell_size_m());
         let at_m = input.poses.position_m();
         let start = self.map.cell_at(at_m).ok_or(NavigationFailure::NoPose)?;
         let goal_m = self.nearest_fitting(input.goal_m, clearance_min_m, GOAL_SNAP_MAX_M);
@@ -137,13 +137,8 @@ impl GoalMap {
 
     /// Whether the body with its margin is clear of obstacles at a point.
     pub(super) fn is_clear(&self, config: &NavigatorConfig, point_m: [f64; 2]) -> bool {
-        let is_wide = |cell| self.map.clearance_m(cell) >= self.clearance_min_m(config);
-        self.map.cell_at(point_m).is_some_and(is_wide)
-    }
-
-    /// Least clearance of a cell in which the body with its margin fits, metres.
-    fn clearance_min_m(&self, config: &NavigatorConfig) -> f64 {
-        config.body.radius_m + config.body.margin_m + self.map.cell_size_m() / 2.0
+        let needed_m = config.body.clearance_min_m(self.map.cell_size_m());
+        self.map.cell_at(point_m).is_some_and(|cell| self.map.clearance_m(cell) >= needed_m)
     }
 }
 

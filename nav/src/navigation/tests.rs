@@ -19,7 +19,7 @@ pub(super) struct Drive {
     pub(super) navigator: FleetNavigator,
     pub(super) steps: u64,
     pub(super) map_from_world: Pose2,
-    /// Error of the map, or of all poses in it.
+    /// Pose of the map as drawn, seen from where it should be.
     pub(super) map_error: Pose2,
     pub(super) in_merged_map: bool,
     /// Whether the robots know where they are.

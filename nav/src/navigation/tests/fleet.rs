@@ -45,7 +45,7 @@ struct Outcome {
     unreported_s: f64,
 }
 
-/// Runs until no robot drives any more: each has arrived or says why not, and none has touched anything.
+/// Runs on a map that is off by [`MAP_ERROR_M`] until no robot drives any more: each has arrived or says why not, and none has touched anything.
 fn run_to_the_end(drive: &mut Drive, seed: u64) -> Outcome {
     let robots = drive.world.robot_count();
     let mut random = RandomNumbers::new(seed);
