@@ -60,7 +60,7 @@ const ROWS: [Row; 12] = [
     row("intel@90", [Some(0.546), None], [Some(0.15), None, None]),
     row("aces@90", [Some(0.282), None], [None; 3]),
     row("freiburg-101@90", [Some(0.089), None], [None; 3]),
-    row("csail@90", [Some(0.265), None], [None; 3]),
+    row("csail@90", [Some(0.265), None], [Some(0.10), Some(0.30), None]),
 ];
 
 /// Looked for in the first half of intel's map: the log it drives in, its field of view, how often.

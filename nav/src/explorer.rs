@@ -5,6 +5,7 @@
 
 mod execution;
 
+use crate::backing_up::{BACK_UP, BackingUp, back_up_distance_m};
 use crate::collision::CollisionLimit;
 use crate::command::Twist;
 use crate::config::NavConfig;
@@ -26,12 +27,6 @@ const SCAN_AGE_MAX_S: f64 = 0.5;
 const SPIN_MAX_S: f64 = 15.0;
 /// Angle after which a spin is complete, radians: a little less than a turn, because the robot turns on.
 const SPIN_RAD: f64 = TAU * 0.97;
-/// Speed, distance and longest time of backing up.
-const BACK_UP_M_S: f64 = 0.08;
-const BACK_UP_M: f64 = 0.15;
-const BACK_UP_MAX_S: f64 = 3.0;
-/// Distances behind the robot that have to be clear for it to back up, metres: one a cell or two.
-const BACK_UP_CHECKS_M: [f64; 3] = [0.05, 0.1, BACK_UP_M];
 /// Longest time of turning away, seconds: about 100 degrees.
 const TURN_AWAY_MAX_S: f64 = 2.0;
 /// Free distance ahead at which turning away ends, metres.
@@ -72,7 +67,7 @@ pub struct OtherRobots<'a> {
 enum Behavior {
     Spin { turned_rad: f64, last_yaw_rad: f64, until: Stamp },
     FollowGoal,
-    BackUp { from_m: [f64; 2], until: Stamp },
+    BackUp(BackingUp),
     TurnAway { side: f64, until: Stamp },
 }
 
@@ -96,7 +91,7 @@ impl<'a> Scene<'a> {
             map: self.map,
             map_from_base: self.pose,
             scan: Some(self.scan),
-            recent_scans: Some(&memory.recent_scans),
+            memory: Some(memory),
             other_robots_m: self.others.positions_m,
         }
     }
@@ -202,7 +197,7 @@ impl Explorer {
         let localized = observation.map.zip(observation.map_from_base.filter(|pose| pose.is_finite()));
         let wanted = match localized {
             Some((map, pose)) => {
-                self.record(now, observation.in_merged_map, pose, &scan);
+                self.record(now, observation.in_merged_map, pose, &scan, others);
                 if may_plan {
                     self.plan_or_recover(now, &Scene { map, pose, scan, others }, planner);
                 }
@@ -214,6 +209,9 @@ impl Explorer {
             }
             None => self.wander(&scan),
         };
+        if wanted.linear_m_s < 0.0 {
+            return self.collision.limit_speed_back(wanted, self.collision.free_distance_behind_m(&scan));
+        }
         self.collision.limit_speed(wanted, free_distance_m)
     }
 
@@ -224,14 +222,21 @@ impl Explorer {
         self.wander.drive(scan, &self.collision, &self.config.follower, &mut self.random)
     }
 
-    fn record(&mut self, now: Stamp, in_merged_map: bool, pose: Pose2, scan: &ScanView) {
+    fn record(
+        &mut self,
+        now: Stamp,
+        in_merged_map: bool,
+        pose: Pose2,
+        scan: &ScanView,
+        others: &OtherRobots,
+    ) {
         if self.tracking.map_changed(in_merged_map) {
             // Remembered positions and the goal are in the frame of the old map.
             self.memory.clear();
             self.execution.drop_goal();
             self.progress.reset();
         }
-        self.memory.record(now, pose, scan);
+        self.memory.record(now, pose, scan, others.positions_m, self.config.body.radius_m);
         self.stats.driven_m += self.tracking.distance_to_m(pose);
         self.behavior.get_or_insert_with(|| Behavior::spin(now, pose));
     }
@@ -257,8 +262,8 @@ impl Explorer {
         if has_goal && is_stuck {
             let planner = planner.planner();
             planner.update_map(&scene.planning_input(&self.memory));
-            let is_clear = |back_m: &f64| planner.is_clear(scene.pose.apply([-back_m, 0.0]));
-            self.recover(now, scene.pose, BACK_UP_CHECKS_M.iter().all(is_clear));
+            let back_m = back_up_distance_m(planner.map(), self.config.body, scene.pose, |_| true);
+            self.recover(now, scene.pose, back_m);
         }
     }
 
@@ -308,11 +313,11 @@ impl Explorer {
                 Twist { linear_m_s: 0.0, angular_rad_s: turn_rad_s }
             }
             Behavior::FollowGoal => self.follow_goal(now, pose),
-            Behavior::BackUp { from_m, until } => {
-                if now >= until || distance_m(from_m, [pose.x_m, pose.y_m]) >= BACK_UP_M {
+            Behavior::BackUp(backing_up) => {
+                if backing_up.is_done(now, [pose.x_m, pose.y_m]) {
                     self.plan_at_once();
                 }
-                Twist { linear_m_s: -BACK_UP_M_S, angular_rad_s: 0.0 }
+                BACK_UP
             }
             Behavior::TurnAway { side, until } => {
                 if now >= until || self.collision.free_distance_m(scan) > TURN_AWAY_UNTIL_M {
@@ -347,19 +352,20 @@ impl Explorer {
         self.progress.reset();
     }
 
-    /// Leaves the goal, and backs up if the space behind is clear, else turns away.
-    fn recover(&mut self, now: Stamp, pose: Pose2, is_clear_behind: bool) {
+    /// Leaves the goal, and backs up by a distance if there is one that is clear, else turns away.
+    fn recover(&mut self, now: Stamp, pose: Pose2, back_m: Option<f64>) {
         self.stats.recoveries += 1;
         if let Some(goal_m) = self.goal_m() {
             self.memory.attempts.add(now, goal_m, STUCK_ATTEMPTS);
         }
         self.execution.drop_goal();
         self.progress.reset();
-        self.behavior = Some(if is_clear_behind {
-            Behavior::BackUp { from_m: [pose.x_m, pose.y_m], until: after(now, BACK_UP_MAX_S) }
-        } else {
-            let side = if self.random.index_below(2) == 0 { 1.0 } else { -1.0 };
-            Behavior::TurnAway { side, until: after(now, TURN_AWAY_MAX_S) }
+        self.behavior = Some(match back_m {
+            Some(back_m) => Behavior::BackUp(BackingUp::new(now, [pose.x_m, pose.y_m], back_m)),
+            None => {
+                let side = if self.random.index_below(2) == 0 { 1.0 } else { -1.0 };
+                Behavior::TurnAway { side, until: after(now, TURN_AWAY_MAX_S) }
+            }
         });
     }
 }

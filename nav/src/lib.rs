@@ -50,6 +50,7 @@
 //! Units and frames are part of names: `_m`, `_rad`, `_s`; `map_from_base` is the pose of the robot's
 //! `base_footprint` in the frame of the map. Points are `[x, y]`.
 
+pub mod backing_up;
 pub mod clearance_map;
 pub mod collision;
 pub mod command;
@@ -63,6 +64,7 @@ pub mod geometry;
 pub mod memory;
 pub mod navigation;
 pub mod observation;
+mod obstacles;
 pub mod path;
 pub mod planner;
 pub mod random;
@@ -72,6 +74,7 @@ pub mod test_world;
 pub mod tour;
 pub mod wander;
 
+pub use backing_up::{BACK_UP, BackingUp, back_up_distance_m};
 pub use clearance_map::ClearanceMap;
 pub use collision::CollisionLimit;
 pub use command::{DriveCommand, Twist};

@@ -1,4 +1,4 @@
-//! Memory of one robot, with its scans of the last seconds, the goals that failed, and the places it visited.
+//! Memory of one robot, with what its scans of the last seconds show, the goals that failed, and the places it visited.
 //!
 //! All positions are in the frame of the map that the robot is shown in. Every list is bounded; the oldest entry
 //! goes first.
@@ -6,6 +6,7 @@
 use crate::clearance_map::ClearanceMap;
 use crate::geometry::distance_m;
 use crate::observation::ScanView;
+use crate::obstacles::RecentObstacles;
 use core::time::Duration;
 use msg::{Pose2, Stamp};
 use std::collections::VecDeque;
@@ -43,7 +44,10 @@ const VISIT_SPACING_M: f64 = 0.4;
 #[derive(Clone, Debug, Default)]
 pub struct RobotMemory {
     /// Scans that the map may not show yet.
-    pub recent_scans: RecentScans,
+    recent_scans: RecentScans,
+    /// Obstacles that the map may not show.
+    obstacles: RecentObstacles,
+    recorded: Stamp,
     /// Goals that were tried in vain.
     pub attempts: GoalAttempts,
     /// Places that the robot has been to.
@@ -51,10 +55,25 @@ pub struct RobotMemory {
 }
 
 impl RobotMemory {
-    /// Records the robot's pose and scan.
-    pub fn record(&mut self, now: Stamp, map_from_base: Pose2, scan: &ScanView) {
+    /// Records the robot's pose and scan; `robots_m` are the positions of the other robots, whose bodies have this radius.
+    pub fn record(
+        &mut self,
+        now: Stamp,
+        map_from_base: Pose2,
+        scan: &ScanView,
+        robots_m: &[[f64; 2]],
+        radius_m: f64,
+    ) {
+        self.recorded = now;
+        self.obstacles.record(now, map_from_base, scan, robots_m, radius_m);
         self.visits.record(now, [map_from_base.x_m, map_from_base.y_m]);
         self.recent_scans.record(now, map_from_base, scan);
+    }
+
+    /// Draws into a window of the map what the scans show and the map does not: free space and obstacles.
+    pub fn mark(&self, map: &mut ClearanceMap) {
+        self.recent_scans.mark_free_space(map);
+        self.obstacles.mark(self.recorded, Pose2::IDENTITY, map);
     }
 
     /// Removes everything: the robot is shown in another map from now on.
@@ -65,7 +84,7 @@ impl RobotMemory {
 
 /// Scans of the last four seconds, because maps lag behind scans.
 #[derive(Clone, Debug, Default)]
-pub struct RecentScans {
+struct RecentScans {
     scans: VecDeque<SeenRays>,
 }
 
@@ -79,7 +98,7 @@ struct SeenRays {
 
 impl RecentScans {
     /// Adds a scan unless the newest one is less than 0.2 s old, and drops those older than 4 s.
-    pub fn record(&mut self, now: Stamp, map_from_base: Pose2, scan: &ScanView) {
+    fn record(&mut self, now: Stamp, map_from_base: Pose2, scan: &ScanView) {
         while self.scans.front().is_some_and(|seen| now - seen.stamp > SCAN_AGE_MAX_S) {
             self.scans.pop_front();
         }
@@ -90,7 +109,7 @@ impl RecentScans {
     }
 
     /// Marks what the beams passed through as free where the map does not know it yet.
-    pub fn mark_free_space(&self, map: &mut ClearanceMap) {
+    fn mark_free_space(&self, map: &mut ClearanceMap) {
         for seen in &self.scans {
             for end in &seen.ends_m {
                 map.mark_ray_free(seen.origin_m, *end);
@@ -214,7 +233,7 @@ mod tests {
         };
         for i in 0..2000 {
             let now = Stamp::from_seconds(f64::from(i) * 0.2);
-            memory.record(now, Pose2::new(f64::from(i) * 0.1, 0.0, 0.0), &scan);
+            memory.record(now, Pose2::new(f64::from(i) * 0.1, 0.0, 0.0), &scan, &[], 0.1);
         }
         assert_eq!(memory.visits.visits.len(), VISITS_MAX);
         assert!(memory.recent_scans.scans.len() <= SCANS_MAX);

@@ -8,7 +8,6 @@ mod cooperative;
 mod goal;
 mod goal_map;
 mod input;
-mod obstacles;
 mod progress;
 mod robot;
 mod standstill;

@@ -2,7 +2,7 @@
 
 use crate::clearance_map::ClearanceMap;
 use crate::config::RobotBody;
-use crate::memory::RecentScans;
+use crate::memory::RobotMemory;
 use crate::observation::{MapView, ScanView};
 use crate::path::{Path, Waypoint};
 use crate::route_search::RouteSearch;
@@ -25,8 +25,8 @@ pub struct PlanningInput<'a> {
     pub map_from_base: Pose2,
     /// Newest scan of the robot: obstacles near it that the map may not show yet.
     pub scan: Option<ScanView<'a>>,
-    /// Scans of the last seconds: free space that the map may not show yet.
-    pub recent_scans: Option<&'a RecentScans>,
+    /// What the robot's scans of the last seconds show and the map may not: free space and obstacles.
+    pub memory: Option<&'a RobotMemory>,
     /// Positions of the other robots in the map, metres.
     pub other_robots_m: &'a [[f64; 2]],
 }
@@ -34,7 +34,7 @@ pub struct PlanningInput<'a> {
 impl<'a> PlanningInput<'a> {
     /// A map and a pose, without scans and other robots.
     pub fn new(map: MapView<'a>, map_from_base: Pose2) -> Self {
-        Self { map, map_from_base, scan: None, recent_scans: None, other_robots_m: &[] }
+        Self { map, map_from_base, scan: None, memory: None, other_robots_m: &[] }
     }
 
     pub(crate) fn robot_m(&self) -> [f64; 2] {
@@ -109,8 +109,8 @@ impl Planner {
     pub fn update_map(&mut self, input: &PlanningInput) {
         let robot_m = input.robot_m();
         self.map.copy_window(&input.map, robot_m);
-        if let Some(recent_scans) = input.recent_scans {
-            recent_scans.mark_free_space(&mut self.map);
+        if let Some(memory) = input.memory {
+            memory.mark(&mut self.map);
         }
         // The robot's own place is free, whatever other robots' scans drew there.
         self.map.mark_disc(robot_m, ROBOT_MARK_RADIUS_M, Occupancy::Free);
@@ -125,10 +125,9 @@ impl Planner {
         self.map.compute_clearance();
     }
 
-    /// Whether no known obstacle stands within the body's radius of a point, by the last [`Planner::update_map`].
-    pub fn is_clear(&self, point_m: [f64; 2]) -> bool {
-        let needed_m = self.body.radius_m + self.map.cell_size_m() / 2.0;
-        self.map.cell_at(point_m).is_some_and(|cell| self.map.clearance_m(cell) >= needed_m)
+    /// The map of the last [`Planner::update_map`].
+    pub fn map(&self) -> &ClearanceMap {
+        &self.map
     }
 
     /// Searches the routes from the robot on the map of the last [`Planner::update_map`].
@@ -185,12 +184,15 @@ mod tests {
 
     #[test]
     fn other_robots_and_fresh_hits_are_obstacles() {
+        let occupancies = |planner: &Planner| {
+            [[0.7, 0.5], [0.5, 1.4]].map(|at_m| planner.map().occupancy(planner.map().cell_at(at_m).unwrap()))
+        };
         let cells = divided_room();
         let map = MapView::from_percent(Pose2::IDENTITY, 0.05, (40, 40), &cells).unwrap();
         let mut planner = Planner::new(RobotBody::default());
         let input = PlanningInput::new(map, Pose2::new(0.5, 0.5, 0.0));
         planner.update_map(&input);
-        assert!(planner.is_clear([0.7, 0.5]) && planner.is_clear([0.5, 1.4]));
+        assert_eq!(occupancies(&planner), [Occupancy::Free; 2]);
         let scan = ScanView {
             received: msg::Stamp(0),
             base_from_scan: Pose2::IDENTITY,
@@ -201,6 +203,6 @@ mod tests {
             ranges_m: &[0.2],
         };
         planner.update_map(&PlanningInput { scan: Some(scan), other_robots_m: &[[0.5, 1.4]], ..input });
-        assert!(!planner.is_clear([0.7, 0.5]) && !planner.is_clear([0.5, 1.4]));
+        assert_eq!(occupancies(&planner), [Occupancy::Occupied; 2]);
     }
 }

@@ -7,6 +7,7 @@
 //! take back, `lifelong` what a lasting map removes.
 
 mod append;
+mod component_search;
 mod components;
 mod doubts;
 mod lifelong;
@@ -196,11 +197,9 @@ impl BackEnd {
         if self.unsolved as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
             self.solve(false);
         }
-        // Search the whole map for a component that nothing connects with it.
+        // Search for the node in the components that nothing connects it with.
+        self.search_other_components(id);
         if unplaced {
-            self.stages.stage_started(Stage::Closure);
-            self.relocalize_component(id);
-            self.update_components();
             self.location.just_located = self.newest_is_placed();
         }
     }

@@ -253,7 +253,7 @@ impl Localizer {
 fn nearest(map: MapNodes<'_>, node: &Node, map_from_node: Pose2, distance_max_m: f64) -> Vec<usize> {
     let [x, y] = map_from_node.apply(node.cloud.centroid_m());
     let mut near: Vec<(f64, usize)> = (0..map.nodes.len())
-        .filter(|&i| map.nodes[i].in_map())
+        .filter(|&i| map.contains(&map.nodes[i]))
         .filter_map(|i| {
             let seen = map.poses[i].apply(map.nodes[i].cloud.centroid_m());
             let apart = (seen[0] - x).hypot(seen[1] - y);

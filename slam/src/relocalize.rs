@@ -35,6 +35,12 @@ const PENDING_MAX: usize = 16;
 const ESTIMATE_SIGMAS: f64 = 3.0;
 /// Largest distance between a search's result and its alignment, metres: farther off, it found other surfaces.
 const ALIGNMENT_SHIFT_MAX_M: f64 = 0.5;
+/// Scans of a limited field of view that a query is aligned and compared with: its up to nine scans see more than six of 90° cover.
+const COMPARED_LIMITED_SCANS: usize = 2 * COMPARED_SCANS;
+/// Cost of a radian between viewpoints against a metre if scans see all around, metres: the view hardly changes.
+const TURN_WEIGHT_ALL_AROUND_M: f64 = 0.2;
+/// The same cost for scans of a limited field of view, metres: the view changes with the heading.
+const TURN_WEIGHT_LIMITED_M: f64 = 1.5;
 /// Points of the merged query, and least points it needs, in scans.
 const QUERY_SCANS: usize = 4;
 
@@ -68,6 +74,18 @@ pub struct RelocalizationCounts {
     pub dropped: u64,
 }
 
+impl core::ops::AddAssign for RelocalizationCounts {
+    fn add_assign(&mut self, other: Self) {
+        self.searches += other.searches;
+        self.below_min_response += other.below_min_response;
+        self.contradicted += other.contradicted;
+        self.ambiguous += other.ambiguous;
+        self.found += other.found;
+        self.accepted += other.accepted;
+        self.dropped += other.dropped;
+    }
+}
+
 /// The nodes of a map and their poses in it, by the same index.
 #[derive(Clone, Copy)]
 pub struct MapNodes<'a> {
@@ -75,6 +93,20 @@ pub struct MapNodes<'a> {
     pub nodes: &'a [Node],
     /// Pose of each node in the map's frame.
     pub poses: &'a [Pose2],
+    /// First node of the unplaced component that is the map; `None`: the nodes that are placed.
+    pub component: Option<u32>,
+}
+
+impl<'a> MapNodes<'a> {
+    /// The nodes that are placed in the map.
+    pub fn of_map(nodes: &'a [Node], poses: &'a [Pose2]) -> Self {
+        Self { nodes, poses, component: None }
+    }
+
+    /// Whether a node is part of the map.
+    pub fn contains(&self, node: &Node) -> bool {
+        node.is_tracked && node.unplaced_component() == self.component
+    }
 }
 
 /// Searches a map for a robot, node by node, until enough results agree.
@@ -142,6 +174,11 @@ impl Relocalizer {
     /// Counts of searches by how they ended.
     pub fn counts(&self) -> RelocalizationCounts {
         self.counts
+    }
+
+    /// Takes the counts of searches since they were taken last.
+    pub fn take_counts(&mut self) -> RelocalizationCounts {
+        core::mem::take(&mut self.counts)
     }
 
     /// Takes the nodes since the search began, oldest first.
@@ -258,15 +295,19 @@ impl Relocalizer {
     /// Aligns the query at a pose and compares it with the scans taken there. Returns the aligned pose if they agree.
     fn verify(&self, map: MapNodes<'_>, merged: &Cloud, query: &[(Node, Pose2)], at: Pose2) -> Option<Pose2> {
         let r = &self.config.relocalize;
+        let (turn_weight_m, scans_max) = match self.whole_map.sees_all_around {
+            true => (TURN_WEIGHT_ALL_AROUND_M, COMPARED_SCANS),
+            false => (TURN_WEIGHT_LIMITED_M, COMPARED_LIMITED_SCANS),
+        };
         let mut near: Vec<(f64, usize)> = (0..map.nodes.len())
-            .filter(|&i| map.nodes[i].in_map())
+            .filter(|&i| map.contains(&map.nodes[i]))
             .map(|i| {
                 let away = wrap_angle(map.poses[i].yaw_rad - at.yaw_rad).abs();
-                (map.poses[i].distance_m(at) + self.whole_map.turn_weight_m * away, i)
+                (map.poses[i].distance_m(at) + turn_weight_m * away, i)
             })
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        near.truncate(COMPARED_SCANS);
+        near.truncate(scans_max);
         let references = near
             .iter()
             .map(|&(_, i)| Reference { cloud: &map.nodes[i].cloud, frame_from_cloud: map.poses[i] });

@@ -167,6 +167,20 @@ fn a_robot_carried_to_another_room_stays_lost_until_it_knows_that_one_better() {
     assert!(ghosts * 50 < occupied && occupied > 500, "{ghosts} of {occupied} cells are no walls");
 }
 
+#[test]
+fn a_robot_carried_back_is_found_in_an_unplaced_component() {
+    let mut drive = Drive::new(two_rooms(), FULL, START);
+    drive.drive(&round());
+    let nodes = drive.slam.back_counts().nodes;
+    drive.carry_to(Pose2::new(18.5, -1.5, 0.3));
+    (0..5).for_each(|_| drive.drive(&wander()));
+    assert_eq!(drive.slam.back_counts().unplaced, nodes, "the second room is the map");
+    drive.carry_to(Pose2::new(1.8, 0.4, 2.0));
+    drive.drive(&wander());
+    let components = drive.slam.back().unplaced_component_count();
+    assert_eq!(components, 1, "what it sees now is part of the first room: {:?}", drive.slam.back_counts());
+}
+
 /// Variances of a pose estimate's covariance along and across a heading.
 fn along_across(covariance: [f64; 6], yaw_rad: f64) -> (f64, f64) {
     let [xx, xy, _, yy, ..] = covariance;

@@ -8,8 +8,8 @@ use nav::coordination::GoalProgress;
 use nav::geometry::distance_m;
 use nav::path::Waypoint;
 use nav::{
-    CollisionLimit, FollowerConfig, MapView, Path, PathFollower, PlanError, Planner, PlanningInput,
-    RobotBody, ScanView, Twist,
+    BACK_UP, BackingUp, CollisionLimit, FollowerConfig, MapView, Path, PathFollower, PlanError, Planner,
+    PlanningInput, RobotBody, ScanView, Twist, back_up_distance_m,
 };
 
 /// Distance at which a goal is reached, metres; a little more than the follower's.
@@ -31,9 +31,9 @@ const GIVE_WAY_M: f64 = 1.2;
 const WAIT_S: f64 = 4.0;
 /// Distance between two centres below which robots approach each other no more, metres; by priority.
 const KEEP_APART_M: [f64; 2] = [0.30, 0.38];
-/// Speed and distance of backing up.
-const BACK_UP_M_S: f64 = 0.08;
-const BACK_UP_M: f64 = 0.2;
+
+/// Distance between two centres below which a robot does not back up, metres.
+const APART_BEHIND_M: f64 = 0.32;
 
 /// What a robot shall do.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,7 +61,7 @@ pub struct Scene<'a> {
 #[derive(Clone, Copy, Debug)]
 enum Behavior {
     Follow,
-    BackUp { from_m: [f64; 2], until: Stamp },
+    BackUp(BackingUp),
     GiveWay,
     Wait { until: Stamp },
 }
@@ -137,17 +137,13 @@ impl Driver {
         }
         let twist = match self.behavior {
             Behavior::Follow => self.follow(scene),
-            Behavior::BackUp { from_m, until } => {
-                if scene.now >= until
-                    || distance_m(from_m, here_m) >= BACK_UP_M
-                    || self.is_blocked_behind(scene)
-                {
-                    self.behavior = Behavior::Follow;
-                    self.planned_at = None;
-                    Twist::STOP
-                } else {
-                    return Twist { linear_m_s: -BACK_UP_M_S, angular_rad_s: 0.0 };
+            Behavior::BackUp(backing_up) => {
+                if !backing_up.is_done(scene.now, here_m) {
+                    return BACK_UP;
                 }
+                self.behavior = Behavior::Follow;
+                self.planned_at = None;
+                Twist::STOP
             }
             Behavior::GiveWay => self.give_way(scene),
             Behavior::Wait { until } => {
@@ -266,7 +262,7 @@ impl Driver {
         } else if is_near {
             Behavior::Wait { until: after(scene.now, WAIT_S) }
         } else {
-            Behavior::BackUp { from_m: here_m, until: after(scene.now, 3.0) }
+            Behavior::BackUp(BackingUp::new(scene.now, here_m, self.back_up_distance_m(scene)))
         };
     }
 
@@ -286,10 +282,14 @@ impl Driver {
         twist.unwrap_or(Twist::STOP)
     }
 
-    fn is_blocked_behind(&self, scene: &Scene) -> bool {
-        let behind_m = scene.pose.apply([-0.12, 0.0]);
-        let is_robot = scene.others.iter().any(|other| distance_m(other.position_m, behind_m) < 0.32);
-        is_robot || !self.planner.is_clear(scene.pose.apply([-0.06, 0.0]))
+    /// How far the robot may back up, metres; 0 if not at all.
+    fn back_up_distance_m(&self, scene: &Scene) -> f64 {
+        let is_free_of_robots = |back_m: f64| {
+            let behind_m = scene.pose.apply([-back_m, 0.0]);
+            scene.others.iter().all(|other| distance_m(other.position_m, behind_m) >= APART_BEHIND_M)
+        };
+        let map = self.planner.map();
+        back_up_distance_m(map, RobotBody::default(), scene.pose, is_free_of_robots).unwrap_or(0.0)
     }
 
     fn limit(&self, scene: &Scene, twist: Twist) -> Twist {

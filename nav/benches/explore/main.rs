@@ -126,7 +126,7 @@ fn run_case(case: Case, options: &Options) -> Option<Outcome> {
     match run::run(case) {
         Ok((outcome, world)) => {
             eprintln!("{}", report::line(&outcome));
-            let is_failure = outcome.times_s[2].is_none() || outcome.contacts > 0;
+            let is_failure = outcome.times_s[2].is_none() || !outcome.contacts.is_empty();
             if let Some(out) = options.out.as_ref().filter(|_| is_failure || options.draw_all) {
                 let name = format!(
                     "{}-{}-{}-{:?}-{}.png",

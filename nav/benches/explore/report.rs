@@ -22,7 +22,7 @@ pub fn line(outcome: &Outcome) -> String {
         outcome.end_s,
         outcome.stopped_by,
         outcome.travelled_m,
-        outcome.contacts,
+        outcome.contacts.len(),
         outcome.separation_m,
         outcome.stood_s,
         outcome.plans,
@@ -30,6 +30,9 @@ pub fn line(outcome: &Outcome) -> String {
         outcome.drive_ms,
         outcome.longest_choice_ms,
     );
+    for contact in &outcome.contacts {
+        line += &format!("\n    {contact}");
+    }
     if outcome.times_s[2].is_none() {
         for left in &outcome.leftovers {
             line += &format!("\n    {left}");
@@ -46,7 +49,7 @@ struct Summary {
     reached: usize,
     travelled_m: f64,
     overlap: f64,
-    contacts: u64,
+    contacts: usize,
     /// Longest time in which no robot left its place, of all runs, seconds.
     stood_s: f64,
     cpu_ms: f64,
@@ -71,7 +74,7 @@ fn summarize<'a>(outcomes: impl Iterator<Item = &'a Outcome>) -> Option<Summary>
         reached: outcomes.iter().filter(|o| o.times_s[2].is_some()).count(),
         travelled_m: mean(&|o| o.travelled_m),
         overlap: mean(&|o| o.overlap),
-        contacts: outcomes.iter().map(|o| o.contacts).sum(),
+        contacts: outcomes.iter().map(|o| o.contacts.len()).sum(),
         stood_s: outcomes.iter().map(|o| o.stood_s).fold(0.0, f64::max),
         cpu_ms: mean(&|o| o.choose_ms + o.drive_ms),
         plans: mean(&|o| f64::from(o.plans)),
@@ -198,7 +201,7 @@ pub fn json(outcomes: &[Outcome]) -> String {
             "world": o.case.room.name(), "seed": o.case.seed, "robots": o.case.robots,
             "starts": format!("{:?}", o.case.starts).to_lowercase(), "method": o.case.method.name(),
             "t90_s": o.times_s[0], "t95_s": o.times_s[1], "t99_s": o.times_s[2], "end_s": o.end_s,
-            "coverage": o.coverage, "travelled_m": o.travelled_m, "overlap": o.overlap, "contacts": o.contacts,
+            "coverage": o.coverage, "travelled_m": o.travelled_m, "overlap": o.overlap, "contacts": o.contacts.len(), "contact_places": o.contacts,
             "separation_m": o.separation_m.is_finite().then_some(o.separation_m), "stood_s": o.stood_s,
             "plans": o.plans,
             "path_plans": o.path_plans, "choose_ms_per_robot_s": o.choose_ms, "drive_ms_per_robot_s": o.drive_ms,

@@ -4,6 +4,7 @@ use crate::burgard::Burgard;
 use crate::driver::{Driver, Other, Scene, Task};
 use crate::methods::{Coordinated, Greedy, Kind, Method};
 use crate::world::{Robot, Starts, World};
+use msg::Pose2;
 use nav::coordination::{CoordinationPhase, GoalProgress};
 use nav::geometry::distance_m;
 use nav::{
@@ -48,7 +49,8 @@ pub struct Outcome {
     pub coverage: f64,
     pub travelled_m: f64,
     pub overlap: f64,
-    pub contacts: u64,
+    /// Each contact, with its robot, time and place.
+    pub contacts: Vec<String>,
     pub separation_m: f64,
     /// Longest time in which no robot left the place where it was, seconds.
     pub stood_s: f64,
@@ -73,7 +75,7 @@ impl Outcome {
             coverage: 0.0,
             travelled_m: 0.0,
             overlap: 0.0,
-            contacts: 0,
+            contacts: Vec::new(),
             separation_m: 0.0,
             stood_s: 0.0,
             plans: 0,
@@ -84,6 +86,18 @@ impl Outcome {
             curve: Vec::new(),
             leftovers: Vec::new(),
             stopped_by: "limit",
+        }
+    }
+
+    /// Records the contacts of the last step, whose velocities are given.
+    fn record_contacts(&mut self, at_s: f64, world: &World, twists: &[Twist]) {
+        for (robot, twist) in world.robots.iter().zip(twists).filter(|(robot, _)| robot.new_contacts > 0) {
+            let Pose2 { x_m, y_m, yaw_rad } = robot.pose();
+            let contact = format!(
+                "contact of {} at {at_s:.1} s, x {x_m:.3} m, y {y_m:.3} m, yaw {yaw_rad:.3} rad, commanded {:.3} m/s, {:.2} rad/s",
+                robot.id, twist.linear_m_s, twist.angular_rad_s
+            );
+            self.contacts.extend((0..robot.new_contacts).map(|_| contact.clone()));
         }
     }
 }
@@ -102,6 +116,7 @@ pub fn run(case: Case) -> Result<(Outcome, World), String> {
     let mut standstill = Standstill::new(&world);
     for step in 0..case.limit_s * STEPS_PER_SECOND {
         world.step(&twists);
+        outcome.record_contacts(step as f64 / STEPS_PER_SECOND as f64, &world, &twists);
         if step % STEPS_PER_SECOND == 0 {
             let coverage = world.coverage();
             let seconds = step / STEPS_PER_SECOND;
@@ -130,7 +145,6 @@ pub fn run(case: Case) -> Result<(Outcome, World), String> {
     }
     outcome.coverage = world.coverage();
     outcome.travelled_m = world.robots.iter().map(|robot| robot.travelled_m).sum();
-    outcome.contacts = world.contacts();
     outcome.separation_m = world.separation_m;
     pilot.describe(&mut outcome);
     let robot_seconds = outcome.end_s.max(1.0) * case.robots as f64;

@@ -40,6 +40,8 @@ pub struct Robot {
     pub truth: GroundTruth,
     pub scan: Box<Scan>,
     pub has_scan: bool,
+    /// Contacts with anything in the last step.
+    pub new_contacts: u64,
     pub travelled_m: f64,
     pub trail: Vec<[f64; 2]>,
 }
@@ -74,7 +76,16 @@ impl World {
             let simulator = Simulator::new(room, &config, id, pose, seed).map_err(|why| why.to_string())?;
             let truth = GroundTruth { world_from_base: pose, ..GroundTruth::default() };
             let (scan, trail) = (Box::new(Scan::zeroed()), vec![[pose.x_m, pose.y_m]]);
-            fleet.push(Robot { id, simulator, truth, scan, has_scan: false, travelled_m: 0.0, trail });
+            fleet.push(Robot {
+                id,
+                simulator,
+                truth,
+                scan,
+                has_scan: false,
+                new_contacts: 0,
+                travelled_m: 0.0,
+                trail,
+            });
         }
         let cells = vec![UNKNOWN; plan.cells.len()];
         let map = Grid { header: plan.header, cells };
@@ -98,6 +109,7 @@ impl World {
             });
         }
         let truths: Vec<(RobotId, GroundTruth)> = self.robots.iter().map(|r| (r.id, r.truth)).collect();
+        self.robots.iter_mut().for_each(|robot| robot.new_contacts = 0);
         for tick in 0..CONTROL_TICKS {
             for robot in &mut self.robots {
                 if tick == 0 {
@@ -107,6 +119,7 @@ impl World {
                 let step = robot.simulator.step();
                 let from = robot.truth.world_from_base;
                 robot.travelled_m += from.distance_m(step.truth.world_from_base);
+                robot.new_contacts += step.truth.contacts - robot.truth.contacts;
                 robot.truth = step.truth;
                 self.now = step.stamp;
                 if step.scan_due {
@@ -142,11 +155,6 @@ impl World {
         let seen: u32 = cells().map(|(_, robots)| robots.count_ones()).sum();
         let once = cells().filter(|(_, robots)| **robots != 0).count();
         (f64::from(seen) - once as f64) / cells().count().max(1) as f64
-    }
-
-    /// Number of contacts of all robots with anything.
-    pub fn contacts(&self) -> u64 {
-        self.robots.iter().map(|robot| robot.truth.contacts).sum()
     }
 
     fn measure_separation(&mut self) {

@@ -2,10 +2,10 @@
 
 use super::config::{NavigatorConfig, UnknownSpace};
 use super::input::RobotPoses;
-use super::obstacles::RecentObstacles;
 use super::state::NavigationFailure;
 use crate::clearance_map::ClearanceMap;
 use crate::observation::MapView;
+use crate::obstacles::RecentObstacles;
 use crate::path::{Path, Waypoint};
 use crate::route_search::RouteSearch;
 use msg::grid::Occupancy;
@@ -128,45 +128,5 @@ impl GoalMap {
     pub(super) fn append_route(&mut self, from: usize, path: &mut Path) {
         self.routes.route_to(&self.map, from, &mut self.cells);
         path.waypoints.extend(self.cells.iter().rev().map(|cell| self.waypoint(*cell)));
-    }
-
-    /// Whether a point has been seen, or lies in the robot's own place.
-    pub(super) fn is_known(&self, point_m: [f64; 2]) -> bool {
-        self.map.cell_at(point_m).is_some_and(|cell| self.map.occupancy(cell) != Occupancy::Unknown)
-    }
-
-    /// Whether the body with its margin is clear of obstacles at a point.
-    pub(super) fn is_clear(&self, config: &NavigatorConfig, point_m: [f64; 2]) -> bool {
-        let needed_m = config.body.clearance_min_m(self.map.cell_size_m());
-        self.map.cell_at(point_m).is_some_and(|cell| self.map.clearance_m(cell) >= needed_m)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::test_world::{Room, TestWorld};
-    use msg::Pose2;
-    use proptest::prelude::*;
-
-    proptest! {
-        /// A robot backs up without seeing where.
-        #[test]
-        fn a_place_is_clear_although_the_map_is_off_by_most_of_the_margin(
-            door_m in 0.4..1.2_f64,
-            (x_m, y_m) in (2.6..3.4_f64, 1.2..2.8_f64),
-            away_rad in -3.2..3.2_f64,
-        ) {
-            let world = TestWorld::with_room(Room::with_door(door_m), &[Pose2::new(1.2, 2.0, 0.0)]);
-            let (config, mut map) = (NavigatorConfig::default(), world.known_map().clone());
-            let error = Pose2::new(0.05 * away_rad.cos(), 0.05 * away_rad.sin(), 0.0);
-            map.header.origin = error * map.header.origin;
-            let mut goal_map = GoalMap::default();
-            goal_map.map.copy_window(&MapView::from_log_odds(map.view()).unwrap(), [x_m, y_m]);
-            goal_map.map.compute_clearance();
-            if goal_map.is_clear(&config, [x_m, y_m]) {
-                prop_assert!(world.clearance_m([x_m, y_m]) > config.body.radius_m);
-            }
-        }
     }
 }

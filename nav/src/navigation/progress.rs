@@ -1,6 +1,7 @@
 //! Progress of a robot towards its goal, and what it does when there is none.
 
 use super::config::NavigatorConfig;
+use crate::backing_up::BackingUp;
 use core::time::Duration;
 use msg::{Pose2, Stamp};
 
@@ -14,25 +15,23 @@ const OVERDUE_FACTOR: f64 = 5.0;
 const OVERDUE_EXTRA_S: f64 = 120.0;
 /// Robots that wait for others may do so this many times as long as they stand for obstacles.
 const WAITING_FACTOR: f64 = 3.0;
-/// Speed and longest time of backing up.
-pub(super) const BACK_UP_M_S: f64 = 0.08;
-const BACK_UP_MAX_S: f64 = 3.0;
-/// Distances by which a robot backs up, metres: as far as all of them up to there are clear.
-pub(super) const BACK_UP_STEPS_M: [f64; 3] = [0.05, 0.1, 0.15];
 /// Longest time of turning to look around, seconds: about 100 degrees.
 const TURN_S: f64 = 2.0;
 
 /// A way to get free.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Recovery {
-    BackUp { odom_from_start: Pose2, distance_m: f64, until: Stamp },
-    Turn { side: f64, until: Stamp },
+    /// Backing up, with positions in the frame of the odometry.
+    BackUp(BackingUp),
+    Turn {
+        side: f64,
+        until: Stamp,
+    },
 }
 
 impl Recovery {
     pub(super) fn back_up(now: Stamp, odom_from_base: Pose2, distance_m: f64) -> Self {
-        let until = now + Duration::from_secs_f64(BACK_UP_MAX_S);
-        Self::BackUp { odom_from_start: odom_from_base, distance_m, until }
+        Self::BackUp(BackingUp::new(now, [odom_from_base.x_m, odom_from_base.y_m], distance_m))
     }
 
     pub(super) fn turn(now: Stamp, side: f64) -> Self {
@@ -41,9 +40,7 @@ impl Recovery {
 
     pub(super) fn is_done(&self, now: Stamp, odom_from_base: Pose2) -> bool {
         match self {
-            Self::BackUp { odom_from_start, distance_m, until } => {
-                now >= *until || odom_from_start.distance_m(odom_from_base) >= *distance_m
-            }
+            Self::BackUp(backing_up) => backing_up.is_done(now, [odom_from_base.x_m, odom_from_base.y_m]),
             Self::Turn { until, .. } => now >= *until,
         }
     }

@@ -59,6 +59,68 @@ impl BackEnd {
         let speed_sigma_m_s = SPEED_SIGMA_SHARE * self.config.odometry.speed_max_m_s;
         let m = scales[0] * sigmas[0] + speed_sigma_m_s * f64::from(node.unmeasured_s);
         let rad = scales[1] * sigmas[1];
-        Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
+        motion_information(moved, m, rad)
+    }
+}
+
+/// Information of a motion whose heading errs with `sigma_rad` in all, as a random walk along the straight line between its
+/// ends, and whose distances err with `sigma_m`. An error of the heading turns what is left of the way, so that the end's position
+/// errs together with its heading: a heading that a scan corrects corrects the position, too (Thrun, Burgard, Fox, "Probabilistic Robotics",
+/// 2005, section 5.4, as a propagated covariance).
+fn motion_information(moved: Pose2, sigma_m: f64, sigma_rad: f64) -> Matrix3<f64> {
+    // The walk w has variance 1 at the end: the integrals of (1 - s) dw over the way have variance 1/3, and covariance 1/2 with w.
+    let sideways_m = Vector3::new(-moved.y_m, moved.x_m, 0.0) * sigma_rad;
+    let heading = Vector3::new(0.0, 0.0, sigma_rad);
+    let along = Matrix3::from_diagonal(&Vector3::new(sigma_m * sigma_m, sigma_m * sigma_m, 0.0));
+    let coupled = (sideways_m * heading.transpose() + heading * sideways_m.transpose()) / 2.0;
+    let covariance =
+        along + sideways_m * sideways_m.transpose() / 3.0 + coupled + heading * heading.transpose();
+    covariance.try_inverse().unwrap_or_else(|| information_from_sigmas(sigma_m, sigma_rad))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+    use rand_xoshiro::rand_core::{Rng, SeedableRng};
+
+    /// Sum of twelve uniform numbers: nearly normal, of variance 1.
+    fn normal(random: &mut Xoshiro256PlusPlus) -> f64 {
+        (0..12).map(|_| random.next_u64() as f64 / u64::MAX as f64).sum::<f64>() - 6.0
+    }
+
+    #[test]
+    fn the_covariance_of_a_motion_is_that_of_ways_whose_heading_walks_at_random() {
+        const STEPS: usize = 50;
+        let (moved, sigma_m, sigma_rad) = (Pose2::new(1.2, -0.5, 0.7), 1e-4, 0.2);
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
+        let mut sum = Matrix3::zeros();
+        let ways = 4000;
+        for _ in 0..ways {
+            let (mut heading_rad, mut end_m) = (0.0_f64, [0.0; 2]);
+            for _ in 0..STEPS {
+                heading_rad += sigma_rad / (STEPS as f64).sqrt() * normal(&mut random);
+                let (sin, cos) = heading_rad.sin_cos();
+                let step = [moved.x_m, moved.y_m].map(|v| v / STEPS as f64);
+                end_m[0] += cos * step[0] - sin * step[1];
+                end_m[1] += sin * step[0] + cos * step[1];
+            }
+            let error = Vector3::new(end_m[0] - moved.x_m, end_m[1] - moved.y_m, heading_rad);
+            sum += error * error.transpose();
+        }
+        let seen = sum / f64::from(ways);
+        let covariance = motion_information(moved, sigma_m, sigma_rad).try_inverse().unwrap();
+        let apart = (seen - covariance).norm() / covariance.norm();
+        assert!(apart < 0.1, "seen {seen}, computed {covariance}");
+    }
+
+    #[test]
+    fn a_heading_that_is_corrected_turns_half_of_the_way() {
+        // Odometry says 2 m ahead; the heading at the end turns out to be 0.2 rad to the left.
+        let information = motion_information(Pose2::new(2.0, 0.0, 0.0), 0.01, 0.3);
+        let place = information.fixed_view::<2, 2>(0, 0).into_owned();
+        let coupling = information.fixed_view::<2, 1>(0, 2).into_owned();
+        let moved_m = -(place.try_inverse().unwrap() * coupling) * 0.2;
+        assert!((moved_m[1] - 0.2).abs() < 0.01 && moved_m[0].abs() < 1e-9, "{moved_m}");
     }
 }

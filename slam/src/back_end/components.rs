@@ -9,19 +9,12 @@
 //! The map is the largest component, so a robot that never returns ends up with a new map.
 
 use super::links::is_sure;
-use super::modes::{FOUND_M, FOUND_RAD};
 use super::{BREAK_M, BREAK_RAD, BREAK_VARIANCE, BackEnd};
 use crate::closure::ClosureCandidate;
 use crate::cloud::Agreement;
-use crate::front_end::UNMEASURED_MAX_S;
 use crate::graph::{EdgeKind, RelativeUncertainty};
 use crate::node::Node;
-use crate::relocalize::{MapNodes, RelocalizationOutcome, Relocalizer};
-use msg::{Pose2, pose::wrap_angle};
 use posegraph::information_from_sigmas;
-
-/// A component of more nodes than this is searched for in the whole map; something passing by is over sooner.
-const NODES_MIN: u32 = 5;
 
 /// Nodes of the map that a node with an unverified edge is compared with.
 const COMPARED_NODES: usize = 8;
@@ -30,17 +23,6 @@ const BREAK_SHARE: f32 = 0.3;
 const BREAK_POINTS_MIN: usize = 60;
 /// A path shorter than this has not drifted by what counts as a contradiction, metres.
 const STRAIGHT_M: f64 = 20.0;
-
-/// A robot is carried this far when it is kidnapped, metres; and by its speed over the time between the scans.
-const REACH_M: f64 = 3.0;
-/// Standard deviations of the last place before it that count as well.
-const REACH_SIGMAS: f64 = 3.0;
-/// Drift of the path since it was kidnapped, metres per metre.
-const PATH_DRIFT: f64 = 0.1;
-/// What the front end drifts while nothing measures the motion, on top of the distance that the robot can have driven, metres and
-/// radians.
-const UNMEASURED_M: f64 = 1.0;
-const UNMEASURED_RAD: f64 = 0.5;
 
 impl BackEnd {
     /// Verifies or breaks the odometry edge before a node that did not fit. When that node, or one after
@@ -114,7 +96,7 @@ impl BackEnd {
     /// Forgets the searches for places that compare several nodes: the way between these is not known any more.
     pub(super) fn forget_searches(&mut self) {
         self.loop_closures.detector.drop_pending();
-        self.location.component_relocalizer = None;
+        self.location.component_searches.clear();
     }
 
     /// Number of components that are not placed in the map.
@@ -158,106 +140,6 @@ impl BackEnd {
         }
     }
 
-    /// Searches the whole map for the newest node's component.
-    pub(super) fn relocalize_component(&mut self, id: u32) {
-        let Some(first) = self.nodes[id as usize].disconnected_component else { return };
-        if id - first < NODES_MIN {
-            return;
-        }
-        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
-        let relocalizer = self.location.component_relocalizer.get_or_insert_with(|| {
-            Relocalizer::new(self.config.clone(), map, None, self.location.relocalization)
-        });
-        let newest = self.nodes[id as usize].clone();
-        let local_from_node = newest.local_from_base;
-        let relocalization = relocalizer.add_node(newest, map);
-        self.location.relocalization = relocalizer.counts();
-        let RelocalizationOutcome::Found { map_from_local } = relocalization else { return };
-        self.location.component_relocalizer = None;
-        let map_from_node = map_from_local * local_from_node;
-        let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
-        if self.is_beyond_reach(id, map_from_node) {
-            self.doubts.implausible_relocalizations += 1;
-            return;
-        }
-        self.add_closures(&[ClosureCandidate {
-            newer: id,
-            older: candidate,
-            older_from_newer: self.graph.poses()[candidate as usize].between(map_from_node),
-            information: information_from_sigmas(FOUND_M, FOUND_RAD),
-            response: self.config.relocalize.response_min,
-        }]);
-    }
-
-    /// Whether the robot, last in the map before node `id`, cannot have gone to where that node was found. Carried, it has no
-    /// heading that is known; where only the motion was not measured, it is not far from where the front end has it.
-    fn is_beyond_reach(&self, id: u32, map_from_node: Pose2) -> bool {
-        let Some(last) = self.nodes[..id as usize].iter().rfind(|node| node.is_placed()) else {
-            return false;
-        };
-        let since = &self.nodes[last.id as usize + 1..=id as usize];
-        let node = &self.nodes[id as usize];
-        let map_from_last = self.graph.poses()[last.id as usize];
-        let speed_max_m_s = self.config.odometry.speed_max_m_s;
-        let is_kidnapped = |node: &Node| node.odometry_break && !self.is_unmeasured_break(node.id);
-        if since.iter().any(is_kidnapped) {
-            return self.is_beyond_reach_of_kidnapped(id, map_from_node, is_kidnapped);
-        }
-        let expected = map_from_last * last.local_from_base.between(node.local_from_base);
-        let unmeasured_s: f64 = since.iter().map(|node| f64::from(node.unmeasured_s)).sum();
-        let turned_rad = wrap_angle(expected.yaw_rad - map_from_node.yaw_rad).abs();
-        expected.distance_m(map_from_node) > UNMEASURED_M + speed_max_m_s * unmeasured_s
-            || turned_rad > UNMEASURED_RAD
-    }
-
-    /// Whether a kidnapped robot cannot have gone to where node `id` was found. The path since it was kidnapped is known, its
-    /// heading in the map is not; of the paths between earlier losses only the length is known.
-    fn is_beyond_reach_of_kidnapped(
-        &self,
-        id: u32,
-        map_from_node: Pose2,
-        is_kidnapped: impl Fn(&Node) -> bool,
-    ) -> bool {
-        let nodes = &self.nodes[..=id as usize];
-        let is_connected = |node: &&Node| node.disconnected_component.is_none();
-        let Some(last) = nodes[..id as usize].iter().rfind(is_connected) else { return false };
-        let (node, since) = (&nodes[id as usize], &nodes[last.id as usize + 1..]);
-        let first = since.iter().rfind(|node| node.odometry_break).unwrap_or(node);
-        let map_from_first = map_from_node * node.local_from_base.between(first.local_from_base);
-        let path_m = |nodes: &[Node]| -> f64 {
-            nodes.windows(2).map(|pair| pair[0].local_from_base.distance_m(pair[1].local_from_base)).sum()
-        };
-        let (before, after) = (&nodes[last.id as usize..=first.id as usize], &nodes[first.id as usize..]);
-        let speed_max_m_s = self.config.odometry.speed_max_m_s;
-        let carries = since.iter().filter(|node| node.id <= first.id && is_kidnapped(node));
-        let carried_m = carries.map(|node| {
-            REACH_M + speed_max_m_s * (node.header.stamp - nodes[node.id as usize - 1].header.stamp)
-        });
-        let unmeasured_s: f64 = since.iter().map(|node| f64::from(node.unmeasured_s)).sum();
-        let sigma_m = self.graph.position_variance_m2(last.id).sqrt();
-        let reach_m = carried_m.sum::<f64>()
-            + REACH_SIGMAS * sigma_m
-            + path_m(before)
-            + speed_max_m_s * unmeasured_s
-            + PATH_DRIFT * path_m(after);
-        self.graph.poses()[last.id as usize].distance_m(map_from_first) > reach_m
-    }
-
-    /// Whether the odometry edge before a node is broken because the motion was not measured.
-    fn is_unmeasured_break(&self, id: u32) -> bool {
-        let before = self.nodes[..id as usize].iter().rev().take_while(|node| !node.odometry_break);
-        let unmeasured_s: f32 = before.map(|node| node.unmeasured_s).sum();
-        unmeasured_s + self.nodes[id as usize].unmeasured_s > UNMEASURED_MAX_S
-    }
-
-    /// The node of the map nearest to a place.
-    pub(super) fn nearest_in_map(&self, at: Pose2) -> Option<u32> {
-        let poses = self.graph.poses();
-        let away = |id: u32| poses[id as usize].distance_m(at);
-        let in_map = self.nodes.iter().filter(|node| node.in_map()).map(|node| node.id);
-        in_map.min_by(|a, b| away(*a).total_cmp(&away(*b)))
-    }
-
     /// Moves one of two components to where a closure has it, before the closure connects them: a solver
     /// finds small movements, not half a turn.
     pub(super) fn align_components(&mut self, closure: &ClosureCandidate) {
@@ -275,38 +157,5 @@ impl BackEnd {
         for node in self.nodes.iter().filter(|node| node.disconnected_component == moves) {
             self.graph.move_node(node.id, shift);
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::testing::straight_path;
-    use super::*;
-
-    /// A path of 30 nodes along x, each metre, at one moment; before node 20 the robot was kidnapped.
-    fn kidnapped_robot() -> BackEnd {
-        let mut back = straight_path(30, 1.0);
-        for node in &mut back.nodes[20..] {
-            node.disconnected_component = Some(20);
-        }
-        back.nodes[20].odometry_break = true;
-        back
-    }
-
-    #[test]
-    fn a_kidnapped_robot_is_found_where_it_can_have_been_carried_to_whatever_its_heading() {
-        let back = kidnapped_robot();
-        // Since it was kidnapped it has driven 9 m.
-        let newest_if_carried_to = |first: Pose2| first * Pose2::new(9.0, 0.0, 0.0);
-        let is_beyond = |first: Pose2| back.is_beyond_reach(29, newest_if_carried_to(first));
-        for yaw_rad in [0.0, 1.5, core::f64::consts::PI] {
-            assert!(!is_beyond(Pose2::new(21.0, 2.0, yaw_rad)), "2.8 m from where it was seen last");
-            assert!(is_beyond(Pose2::new(30.0, 2.0, yaw_rad)), "11 m from there");
-        }
-        // The same place of the newest node, but driven to from the other side.
-        let place = newest_if_carried_to(Pose2::new(21.0, 2.0, 0.0));
-        assert!(!back.is_beyond_reach(29, place));
-        let turned = place * Pose2::new(0.0, 0.0, core::f64::consts::PI);
-        assert!(back.is_beyond_reach(29, turned), "it would have been carried by 18 m");
     }
 }

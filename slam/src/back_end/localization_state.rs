@@ -1,5 +1,6 @@
 //! Location of the robot in its map: the current mode, and the localizer or relocalizer at work.
 
+use super::component_search::ComponentSearches;
 use crate::localizer::Localizer;
 use crate::relocalize::{LocalFrameEstimate, RelocalizationCounts, Relocalizer};
 use msg::SlamMode;
@@ -12,8 +13,8 @@ pub(super) struct LocalizationState {
     pub localizer: Option<Localizer>,
     /// While the robot is not located: searches the whole map.
     pub relocalizer: Option<Relocalizer>,
-    /// While the newest node's component is unplaced: searches the whole map for it.
-    pub component_relocalizer: Option<Relocalizer>,
+    /// While components are unplaced: the searches for the newest node in them and in the map.
+    pub component_searches: ComponentSearches,
     /// Counts of searches, while no relocalizer is at work.
     pub relocalization: RelocalizationCounts,
     /// Estimate of the next node's pose, if it does not follow from the node before.
@@ -28,7 +29,7 @@ impl LocalizationState {
             mode: SlamMode::Mapping,
             localizer: None,
             relocalizer: None,
-            component_relocalizer: None,
+            component_searches: ComponentSearches::default(),
             relocalization: RelocalizationCounts::default(),
             next_node_estimate: None,
             just_located: false,

@@ -1,5 +1,6 @@
 //! Modes of the back end: a node relocalizes the robot, localizes it in a fixed map, or extends the map.
 
+use super::component_search::nearest;
 use super::{BackEnd, BackEndState};
 use crate::closure::ClosureDetector;
 use crate::config::SlamConfig;
@@ -129,7 +130,7 @@ impl BackEnd {
             self.location.next_node_estimate = estimate;
             return;
         }
-        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
+        let map = MapNodes::of_map(&self.nodes, self.graph.poses());
         self.location.relocalizer =
             Some(Relocalizer::new(self.config.clone(), map, estimate, self.location.relocalization));
     }
@@ -155,7 +156,7 @@ impl BackEnd {
 
     pub(super) fn process_node(&mut self, node: Node) {
         self.location.just_located = false;
-        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
+        let map = MapNodes::of_map(&self.nodes, self.graph.poses());
         let Some(relocalizer) = &mut self.location.relocalizer else { return self.integrate_node(node) };
         let relocalization = relocalizer.add_node(node, map);
         let estimate = match relocalization {
@@ -192,7 +193,7 @@ impl BackEnd {
             Some(estimate) => estimate.map_from_local,
             None => localizer.newest().map_or(Pose2::IDENTITY, |(_, map_from_local)| map_from_local),
         };
-        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
+        let map = MapNodes::of_map(&self.nodes, self.graph.poses());
         localizer.add_node(node, map_from_local, map);
         if localizer.is_lost() {
             self.start_relocalization(None);
@@ -202,7 +203,7 @@ impl BackEnd {
     /// Adds the first node after the robot was located, with an edge from the nearest node of the map.
     pub(super) fn add_node_at_initial_pose(&mut self, node: Node, estimate: LocalFrameEstimate) {
         let map_from_node = estimate.map_from_local * node.local_from_base;
-        let nearest = self.nearest_in_map(map_from_node);
+        let nearest = nearest(MapNodes::of_map(&self.nodes, self.graph.poses()), map_from_node);
         let id = node.id;
         self.graph.add_node(map_from_node);
         self.nodes.push(node);

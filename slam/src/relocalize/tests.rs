@@ -22,7 +22,7 @@ fn a_robot_is_found_when_searches_along_its_path_agree_and_not_before() {
     let poses: Vec<Pose2> = (0..10).map(|i| Pose2::new(-0.5, -1.8 + 0.4 * f64::from(i), 1.5)).collect();
     let nodes: Vec<Node> =
         poses.iter().enumerate().map(|(i, pose)| node(i as u32, *pose, *pose, &mut noise, &config)).collect();
-    let map = MapNodes { nodes: &nodes, poses: &poses };
+    let map = MapNodes::of_map(&nodes, &poses);
     let mut relocalizer = Relocalizer::new(config.clone(), map, None, RelocalizationCounts::default());
     // The robot drives beside the path of the map, in a frame of its own.
     let map_from_local = Pose2::new(0.0, -1.5, 1.4);

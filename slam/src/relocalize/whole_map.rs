@@ -21,10 +21,6 @@ const CELLS_QUICK: f32 = 32_768.0;
 const CELLS_MAX: f32 = 2_097_152.0;
 /// Margin of the field around the map's points, metres: room for the likelihood around them.
 const MARGIN_M: f32 = 1.0;
-/// Cost of a radian between viewpoints against a metre if scans see all around, metres: the view hardly changes.
-const TURN_WEIGHT_ALL_AROUND_M: f64 = 0.2;
-/// The same cost for scans of a limited field of view, metres: the view changes with the heading.
-const TURN_WEIGHT_LIMITED_M: f64 = 1.5;
 /// Bounds of the radius by which the steps of heading are chosen, metres: a step moves a point there by one cell.
 const RADIUS_MIN_M: f32 = 1.0;
 const RADIUS_MAX_M: f32 = 10.0;
@@ -63,14 +59,14 @@ pub(super) struct WholeMap {
     levels: Vec<Vec<u8>>,
     /// Cells where a robot may be: near a position where a scan was taken.
     open: Vec<bool>,
-    /// Cost of a radian between viewpoints against a metre, metres: small if scans see all around.
-    pub turn_weight_m: f64,
+    /// Whether most scans have returns behind the robot as well as before it.
+    pub sees_all_around: bool,
 }
 
 impl WholeMap {
     /// The likelihood field and pyramid of a map's nodes.
     pub fn new(config: &SlamConfig, map: MapNodes<'_>) -> Self {
-        let posed = || map.nodes.iter().zip(map.poses).filter(|(node, _)| node.in_map());
+        let posed = || map.nodes.iter().zip(map.poses).filter(|(node, _)| map.contains(node));
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
         for (node, pose) in posed() {
             let map_from_node = PointTransform::new(*pose);
@@ -115,10 +111,9 @@ impl WholeMap {
                 open[row + from..row + to.max(from)].fill(true);
             }
         }
-        let all_around =
-            posed().filter(|(node, _)| sees_all_around(&node.cloud)).count() * 2 > map.nodes.len();
-        let turn_weight_m = if all_around { TURN_WEIGHT_ALL_AROUND_M } else { TURN_WEIGHT_LIMITED_M };
-        let mut whole = Self { cell_m, corner, width, height, levels: vec![fine], open, turn_weight_m };
+        let all_around = posed().filter(|(node, _)| sees_all_around(&node.cloud)).count();
+        let sees_all_around = all_around * 2 > posed().count();
+        let mut whole = Self { cell_m, corner, width, height, levels: vec![fine], open, sees_all_around };
         (1..LEVELS).for_each(|level| whole.add_level(level));
         whole
     }

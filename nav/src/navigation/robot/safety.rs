@@ -1,9 +1,10 @@
 //! Ways of a robot to get free, and limits of its speed by what is near it.
 
 use super::super::input::RobotPoses;
-use super::super::progress::{BACK_UP_M_S, BACK_UP_STEPS_M, Recovery};
+use super::super::progress::Recovery;
 use super::super::state::{NavigationFailure, NavigationState};
 use super::{OtherRobot, RobotNavigator};
+use crate::backing_up::{BACK_UP, back_up_distance_m};
 use crate::command::Twist;
 use crate::geometry::distance_m;
 use crate::observation::ScanView;
@@ -53,7 +54,7 @@ impl RobotNavigator {
             }
         }
         let twist = match self.recovery? {
-            Recovery::BackUp { .. } => Twist { linear_m_s: -BACK_UP_M_S, angular_rad_s: 0.0 },
+            Recovery::BackUp(_) => BACK_UP,
             Recovery::Turn { side, .. } => {
                 Twist { linear_m_s: 0.0, angular_rad_s: side * self.config.follower.turn_rad_s }
             }
@@ -69,15 +70,10 @@ impl RobotNavigator {
             let (before_m, after_m) = (x.hypot(y), (x + back_m).hypot(y));
             after_m > self.config.separation_m || after_m > before_m + MOVING_APART_SHARE * back_m
         };
-        let is_clear = |back_m: &&f64| {
-            let [after_m, rear_m] = [**back_m, **back_m + self.config.body.radius_m]
-                .map(|behind_m| poses.map_from_base.apply([-behind_m, 0.0]));
-            self.goal_map.is_clear(&self.config, after_m)
-                && self.goal_map.is_known(rear_m)
-                && others.iter().all(|other| is_clear_of(other, **back_m))
-        };
-        match BACK_UP_STEPS_M.iter().take_while(is_clear).last() {
-            Some(back_m) => Recovery::back_up(now, poses.odom_from_base, *back_m),
+        let is_clear_of_all = |back_m| others.iter().all(|other| is_clear_of(other, back_m));
+        let (map, body) = (self.goal_map.map(), self.config.body);
+        match back_up_distance_m(map, body, poses.map_from_base, is_clear_of_all) {
+            Some(back_m) => Recovery::back_up(now, poses.odom_from_base, back_m),
             None => Recovery::turn(now, self.turning_side()),
         }
     }

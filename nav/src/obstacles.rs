@@ -1,6 +1,6 @@
 //! Obstacles that recent scans show and the map may not: marked by hits, cleared by beams that pass through.
 //!
-//! Positions are in `odom`, so that a correction of the map moves none of them.
+//! Positions are in one frame: `odom` where it is known, so that a correction of the map moves none of them, else the map's.
 
 use crate::clearance_map::ClearanceMap;
 use crate::geometry::distance_m;
@@ -26,17 +26,17 @@ const MAP_REACH_CELLS: i64 = 2;
 
 /// Obstacles around one robot.
 #[derive(Clone, Debug, Default)]
-pub(super) struct RecentObstacles {
+pub(crate) struct RecentObstacles {
     last_scan: Option<Stamp>,
     cells: BTreeMap<(i32, i32), Stamp>,
 }
 
 impl RecentObstacles {
-    /// Adds a scan once; `robots_m` are the positions of the other robots, in `odom`, and `radius_m` is that of each.
-    pub(super) fn record(
+    /// Adds a scan once; `robots_m` are the positions of the other robots and `radius_m` is that of each.
+    pub(crate) fn record(
         &mut self,
         now: Stamp,
-        odom_from_base: Pose2,
+        frame_from_base: Pose2,
         scan: &ScanView,
         robots_m: &[[f64; 2]],
         radius_m: f64,
@@ -45,9 +45,9 @@ impl RecentObstacles {
             return;
         }
         self.last_scan = Some(scan.received);
-        self.clear_seen_through(now, odom_from_base, scan);
+        self.clear_seen_through(now, frame_from_base, scan);
         for hit in scan.hits_in_base_m().filter(|hit| hit[0].hypot(hit[1]) < RANGE_MAX_M) {
-            let hit = odom_from_base.apply(hit);
+            let hit = frame_from_base.apply(hit);
             let is_robot =
                 robots_m.iter().any(|robot| distance_m(*robot, hit) < radius_m + ROBOT_HIT_SPACE_M);
             let cell = hit.map(|v| (v / CELL_M).floor() as i32);
@@ -57,10 +57,10 @@ impl RecentObstacles {
         }
     }
 
-    fn clear_seen_through(&mut self, now: Stamp, odom_from_base: Pose2, scan: &ScanView) {
-        let scan_from_odom = (odom_from_base * scan.base_from_scan).inverse();
+    fn clear_seen_through(&mut self, now: Stamp, frame_from_base: Pose2, scan: &ScanView) {
+        let scan_from_frame = (frame_from_base * scan.base_from_scan).inverse();
         self.cells.retain(|cell, seen| {
-            let [x, y] = scan_from_odom.apply(centre_m(*cell));
+            let [x, y] = scan_from_frame.apply(centre_m(*cell));
             let beam = ((y.atan2(x) - scan.angle_min_rad) / scan.angle_increment_rad).round();
             let range_m = if beam >= 0.0 { scan.ranges_m.get(beam as usize).copied() } else { None };
             let is_cleared =
@@ -70,15 +70,15 @@ impl RecentObstacles {
     }
 
     /// Forgets all obstacles.
-    pub(super) fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.cells.clear();
     }
 
     /// Draws the obstacles that the map does not show into a window of it.
-    pub(super) fn mark(&self, now: Stamp, map_from_odom: Pose2, map: &mut ClearanceMap) {
+    pub(crate) fn mark(&self, now: Stamp, map_from_frame: Pose2, map: &mut ClearanceMap) {
         let is_recent = |seen: &Stamp| *seen + Duration::from_secs_f64(AGE_MAX_S) >= now;
         let points = self.cells.iter().filter(|(_, seen)| is_recent(seen));
-        let points = points.map(|(cell, _)| map_from_odom.apply(centre_m(*cell)));
+        let points = points.map(|(cell, _)| map_from_frame.apply(centre_m(*cell)));
         let unknown_to_map: Vec<[f64; 2]> =
             points.filter(|point| !map.is_occupied_near(*point, MAP_REACH_CELLS)).collect();
         unknown_to_map.iter().for_each(|point| map.mark_occupied(*point));
