@@ -24,6 +24,8 @@ const OTHER_NODES_MIN: usize = 20;
 /// The scans of two components are compared this far around the place where one was found in the other, metres: farther off, drift
 /// counts.
 const COMPARED_AROUND_M: f64 = 8.0;
+/// Most scans of each that are compared: every other or third one, where the robot was often.
+const COMPARED_NODES_MAX: usize = 64;
 /// Scans taken farther apart than this are not compared, metres: they see different things.
 const COMPARED_APART_M: f64 = 1.5;
 
@@ -168,15 +170,17 @@ impl BackEnd {
         let poses = self.graph.poses();
         let map_from_own = map_from_node * poses[id as usize].inverse();
         let own = self.nodes[id as usize].disconnected_component;
-        let is_compared = |node: &&Node, is_of: Option<u32>, map_from_its: Pose2| {
-            node.is_tracked
-                && node.disconnected_component == is_of
-                && (map_from_its * poses[node.id as usize]).distance_m(map_from_node) < COMPARED_AROUND_M
+        let compared = |component: Option<u32>, map_from_its: Pose2| {
+            let is_near =
+                |id: u32| (map_from_its * poses[id as usize]).distance_m(map_from_node) < COMPARED_AROUND_M;
+            let nodes = self.nodes.iter().filter(|node| node.disconnected_component == component);
+            let near: Vec<&Node> = nodes.filter(|node| node.is_tracked && is_near(node.id)).collect();
+            let stride = near.len().div_ceil(COMPARED_NODES_MAX).max(1);
+            near.into_iter().step_by(stride).collect::<Vec<&Node>>()
         };
-        let others: Vec<&Node> =
-            self.nodes.iter().filter(|node| is_compared(node, component, Pose2::IDENTITY)).collect();
+        let others = compared(component, Pose2::IDENTITY);
         let mut agreement = Agreement::default();
-        for node in self.nodes.iter().filter(|node| is_compared(node, own, map_from_own)) {
+        for node in compared(own, map_from_own) {
             let map_from_this = map_from_own * poses[node.id as usize];
             for other in &others {
                 let other_from_this = poses[other.id as usize].between(map_from_this);
