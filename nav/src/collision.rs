@@ -33,7 +33,7 @@ impl CollisionLimit {
     }
 
     /// Distance that the body can drive straight back by the scan, metres; infinite if nothing that the scan shows stands there.
-    pub fn free_distance_behind_m(&self, scan: &ScanView) -> f64 {
+    fn free_distance_behind_m(&self, scan: &ScanView) -> f64 {
         let half_width_m = self.half_width_m();
         let behind = scan.hits_in_base_m().filter(|[x, y]| *x < 0.0 && y.abs() < half_width_m);
         behind.map(|[x, _]| -x - self.body.radius_m).fold(f64::INFINITY, f64::min)
@@ -70,8 +70,9 @@ impl CollisionLimit {
         Twist { linear_m_s: twist.linear_m_s.min(limit_m_s), ..twist }
     }
 
-    /// Lowers the backward speed so that the robot stops short of an obstacle at this free distance behind it.
-    pub fn limit_speed_back(&self, twist: Twist, free_distance_m: f64) -> Twist {
+    /// Lowers the backward speed so that the robot stops short of what the scan shows behind it.
+    pub fn limit_speed_back(&self, twist: Twist, scan: &ScanView) -> Twist {
+        let free_distance_m = self.free_distance_behind_m(scan);
         let forward = Twist { linear_m_s: -twist.linear_m_s, ..twist };
         Twist { linear_m_s: -self.limit_speed(forward, free_distance_m).linear_m_s, ..twist }
     }
@@ -124,10 +125,10 @@ mod tests {
             let (limit, back) = (CollisionLimit::default(), Twist { linear_m_s: -v, angular_rad_s: 0.0 });
             let base_from_scan = Pose2::new(0.0, 0.0, core::f64::consts::PI);
             let scan = ScanView { base_from_scan, ..scan(&ranges) };
-            prop_assert_eq!(limit.limit_speed_back(back, limit.free_distance_behind_m(&scan)).linear_m_s, 0.0);
+            prop_assert_eq!(limit.limit_speed_back(back, &scan).linear_m_s, 0.0);
             prop_assert_eq!(limit.free_distance_m(&scan), f64::INFINITY);
             let ahead = Twist { linear_m_s: v, angular_rad_s: 0.0 };
-            prop_assert_eq!(limit.limit_speed_back(ahead, limit.free_distance_behind_m(&scan)), ahead);
+            prop_assert_eq!(limit.limit_speed_back(ahead, &scan), ahead);
         }
     }
 

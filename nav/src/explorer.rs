@@ -210,7 +210,7 @@ impl Explorer {
             None => self.wander(&scan),
         };
         if wanted.linear_m_s < 0.0 {
-            return self.collision.limit_speed_back(wanted, self.collision.free_distance_behind_m(&scan));
+            return self.collision.limit_speed_back(wanted, &scan);
         }
         self.collision.limit_speed(wanted, free_distance_m)
     }

@@ -47,6 +47,7 @@ pub struct RobotMemory {
     recent_scans: RecentScans,
     /// Obstacles that the map may not show.
     obstacles: RecentObstacles,
+    /// When a scan was recorded last.
     recorded: Stamp,
     /// Goals that were tried in vain.
     pub attempts: GoalAttempts,

@@ -31,7 +31,6 @@ const GIVE_WAY_M: f64 = 1.2;
 const WAIT_S: f64 = 4.0;
 /// Distance between two centres below which robots approach each other no more, metres; by priority.
 const KEEP_APART_M: [f64; 2] = [0.30, 0.38];
-
 /// Distance between two centres below which a robot does not back up, metres.
 const APART_BEHIND_M: f64 = 0.32;
 

@@ -118,7 +118,7 @@ fn other_components(nodes: &[Node], newest: &Node) -> impl Iterator<Item = Optio
 }
 
 /// The node of a map nearest to a place in it.
-pub(super) fn nearest(map: MapNodes<'_>, at: Pose2) -> Option<u32> {
+pub(super) fn nearest_node(map: MapNodes<'_>, at: Pose2) -> Option<u32> {
     let away_m = |node: &&Node| map.poses[node.id as usize].distance_m(at);
     let nodes = map.nodes.iter().filter(|node| map.contains(node));
     nodes.min_by(|a, b| away_m(a).total_cmp(&away_m(b))).map(|node| node.id)
@@ -135,7 +135,10 @@ impl BackEnd {
         if first.is_none_or(|first| id - first >= NODES_MIN) {
             self.connect_component(id);
         }
-        self.update_components();
+        if first.is_some() {
+            // It may be the largest now, and so the map.
+            self.update_components();
+        }
     }
 
     /// Connects the newest node with the component in which it is found.
@@ -146,7 +149,7 @@ impl BackEnd {
         let Some((component, map_from_node)) = found else { return };
         searches.clear();
         let map = MapNodes { component, ..map };
-        let Some(candidate) = nearest(map, map_from_node) else { return };
+        let Some(candidate) = nearest_node(map, map_from_node) else { return };
         if !self.components_agree(id, component, map_from_node) {
             self.location.relocalization.contradicted += 1;
             return;
@@ -166,6 +169,7 @@ impl BackEnd {
 
     /// Whether the scans of a node's component and those of another one in which it was found agree around that place, not only
     /// those that were compared to find it: two rooms that are alike at one place differ elsewhere.
+    /// Where no scans of both were taken near enough to each other, nothing speaks against the place.
     fn components_agree(&self, id: u32, component: Option<u32>, map_from_node: Pose2) -> bool {
         let poses = self.graph.poses();
         let map_from_own = map_from_node * poses[id as usize].inverse();

@@ -1,6 +1,6 @@
 //! Modes of the back end: a node relocalizes the robot, localizes it in a fixed map, or extends the map.
 
-use super::component_search::nearest;
+use super::component_search::nearest_node;
 use super::{BackEnd, BackEndState};
 use crate::closure::ClosureDetector;
 use crate::config::SlamConfig;
@@ -203,7 +203,7 @@ impl BackEnd {
     /// Adds the first node after the robot was located, with an edge from the nearest node of the map.
     pub(super) fn add_node_at_initial_pose(&mut self, node: Node, estimate: LocalFrameEstimate) {
         let map_from_node = estimate.map_from_local * node.local_from_base;
-        let nearest = nearest(MapNodes::of_map(&self.nodes, self.graph.poses()), map_from_node);
+        let nearest = nearest_node(MapNodes::of_map(&self.nodes, self.graph.poses()), map_from_node);
         let id = node.id;
         self.graph.add_node(map_from_node);
         self.nodes.push(node);

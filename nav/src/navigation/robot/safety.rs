@@ -92,7 +92,7 @@ impl RobotNavigator {
         others: &[OtherRobot],
     ) -> Twist {
         if wanted.linear_m_s < 0.0 {
-            return self.collision.limit_speed_back(wanted, self.collision.free_distance_behind_m(scan));
+            return self.collision.limit_speed_back(wanted, scan);
         }
         let nearest_m = self.collision.nearest_ahead_m(scan);
         let free_m = nearest_m.map_or(f64::INFINITY, |[x, _]| x - self.config.body.radius_m);
