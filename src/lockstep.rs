@@ -40,7 +40,7 @@ use ::bridge::Transport;
 use ::headset::wireless::Link;
 use ::recording::fleet::FleetRecording;
 use faults::FaultPlan;
-use formats::map_file::{MapFileError, write_doubted_map};
+use formats::map_file::{MapFileError, write_map_with_reasons};
 use members::{Member, World};
 use memory_storage::MemoryStorage;
 use msg::{FleetStats, GridView, Monotonic, Pose2, RobotId, Role, SlamRequest, Stamp};
@@ -231,7 +231,7 @@ impl Lockstep {
     pub fn write_maps(&mut self, path: impl Fn(&str) -> PathBuf) -> Result<(), MapFileError> {
         self.observer.maps().try_for_each(|(name, map, reasons)| {
             let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
-            write_doubted_map(&path(name), map, &reasons)
+            write_map_with_reasons(&path(name), map, &reasons)
         })
     }
 

@@ -222,7 +222,7 @@ fn json_lines(pairs: &[Pair], outcomes: &[Outcome]) -> String {
                 "x": found.a_from_b.x_m, "y": found.a_from_b.y_m, "theta": found.a_from_b.yaw_rad,
                 "inliers": found.inliers, "score": found.occupied_f1, "strict": found.agreement,
                 "overlap_m2": found.overlap_m2, "overlap_share": found.overlap_share, "residual_m": found.residual_m,
-                "conflict": found.conflict, "margin": found.margin, "objects_margin": found.objects_margin, "object_conflict": found.object_conflict, "objects_m": found.objects_m, "observability": found.observability,
+                "conflict": found.conflict, "margin": found.margin, "short_walls_margin": found.short_walls_margin, "short_wall_conflict": found.short_wall_conflict, "short_walls_m": found.short_walls_m, "observability": found.observability,
             })
         });
         let mut line = found.unwrap_or(serde_json::json!({}));

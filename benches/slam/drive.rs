@@ -11,7 +11,7 @@ use msg::{Odometry, Scan};
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 use slam::{
-    BackEnd, EdgeKind, FrontEnd, MapDoubts, MapFrameUpdate, Node, ScanResult, Slam, Stage, StageObserver,
+    BackEnd, EdgeKind, FrontEnd, ReliabilityEvidence, MapFrameUpdate, Node, ScanResult, Slam, Stage, StageObserver,
 };
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -74,7 +74,7 @@ pub struct Outcome {
     /// Nodes that are not placed in the map.
     pub unplaced: usize,
     /// Evidence that the map is wrong.
-    pub doubts: MapDoubts,
+    pub evidence: ReliabilityEvidence,
     /// Active closures that are not true, if the truth is known.
     pub wrong_closures: usize,
     /// The same of links between scans.
@@ -244,7 +244,7 @@ impl Outcome {
         (self.scans, self.lost) = (counts.accepted, counts.lost);
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.unplaced) = (done.retracted, done.unplaced);
-        self.doubts = back.doubts();
+        self.evidence = back.reliability_evidence();
     }
 
     fn score(&mut self, task: &Task, front: &FrontEnd, back: &BackEnd) -> Result<(), String> {

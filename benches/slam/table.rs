@@ -52,8 +52,8 @@ fn accuracy(done: &[(&Row, Outcome)]) {
             o.all.mean_deg,
             o.all.count,
         );
-        for reason in o.doubts.reasons() {
-            println!("  called unreliable: {reason} ({:?})", o.doubts);
+        for reason in o.evidence.reasons() {
+            println!("  called unreliable: {reason} ({:?})", o.evidence);
         }
     }
 }

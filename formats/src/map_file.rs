@@ -78,14 +78,14 @@ impl MapFileError {
 ///
 /// Each file appears whole or not at all. The YAML is written last, so that it never names a missing image.
 pub fn write_map(stem: &Path, grid: GridView<'_>) -> Result<(), MapFileError> {
-    write_doubted_map(stem, grid, &[])
+    write_map_with_reasons(stem, grid, &[])
 }
 
 /// Writes a map as [`write_map`] does, with the reasons why it is unreliable.
 ///
 /// They are the list `unreliable` of the YAML, which map_server ignores, and the text `Unreliable` of the PNG. A map without
 /// reasons has neither.
-pub fn write_doubted_map(stem: &Path, grid: GridView<'_>, reasons: &[&str]) -> Result<(), MapFileError> {
+pub fn write_map_with_reasons(stem: &Path, grid: GridView<'_>, reasons: &[&str]) -> Result<(), MapFileError> {
     let [pgm, yaml, png] = ["pgm", "yaml", "png"].map(|extension| with_extension(stem, extension));
     let name = pgm.file_name().and_then(|name| name.to_str());
     let Some(name) = name.filter(|name| !name.contains(['"', '\\', '\n', '\r'])) else {
@@ -108,18 +108,18 @@ pub fn write_doubted_map(stem: &Path, grid: GridView<'_>, reasons: &[&str]) -> R
         write!(file, "P5\n{width} {height}\n255\n")?;
         file.write_all(&greys)
     })?;
-    write_whole(&png, |file| picture::encode_doubted(file, width, height, &greys, reasons))?;
+    write_whole(&png, |file| picture::encode_with_reasons(file, width, height, &greys, reasons))?;
     write_whole(&yaml, |file| file.write_all(describe(name, grid.header, reasons).as_bytes()))
 }
 
 /// Reads a map by its YAML file. The image is a PGM (P5 or P2) or a PNG, named relative to the YAML's folder or
 /// absolutely. No memory is allocated for an image before its size was checked.
 pub fn read_map(yaml: &Path) -> Result<Grid, MapFileError> {
-    Ok(read_doubted_map(yaml)?.0)
+    Ok(read_map_with_reasons(yaml)?.0)
 }
 
-/// Reads a map as [`read_map`] does, with the reasons why it is unreliable, as [`write_doubted_map`] writes them.
-pub fn read_doubted_map(yaml: &Path) -> Result<(Grid, Vec<String>), MapFileError> {
+/// Reads a map as [`read_map`] does, with the reasons why it is unreliable, as [`write_map_with_reasons`] writes them.
+pub fn read_map_with_reasons(yaml: &Path) -> Result<(Grid, Vec<String>), MapFileError> {
     let meta = read_description(yaml)?;
     let image = yaml.parent().unwrap_or(Path::new("")).join(&meta.image);
     let grid = meta.grid(&read_image(&image)?);

@@ -11,7 +11,7 @@
 mod contradicted;
 mod distance_field;
 mod null;
-mod objects;
+mod short_walls;
 mod points;
 mod refine;
 mod refusal;
@@ -31,7 +31,7 @@ use crate::config::{AlignConfig, WallConfig};
 use crate::limits::{RESOLUTION_M, is_plausible};
 use msg::grid_agreement::{GridAgreement, compare_grids};
 use msg::{AlignmentRefusal, GridView, Pose2, pose::wrap_angle};
-use objects::{ObjectMatch, ObjectPoints, match_objects};
+use short_walls::{ShortWallMatch, ShortWalls, match_short_walls};
 use refine::{COARSE_KERNELS_M, FINE_KERNELS_M};
 use refusal::refusal_of;
 use repeated::repeated_places;
@@ -50,8 +50,8 @@ const FINE_POINTS: usize = 20_000;
 const FINALISTS: usize = 2;
 /// Least score assumed for the best other place, metres of wall: chance finds as much anywhere.
 const RIVAL_WALLS_MIN_M: f64 = 2.5;
-/// Least length of objects assumed for the best other place, metres.
-const RIVAL_OBJECTS_MIN_M: f64 = 2.0;
+/// Least length of matching short walls assumed for the best other place, metres.
+const RIVAL_SHORT_WALLS_MIN_M: f64 = 2.0;
 /// Rounding of a length of walls, metres: far below a cell.
 const WALLS_ROUNDING_M: f64 = 1e-6;
 /// Share of the smaller map below which an overlap is small. It may then be a room that is like another.
@@ -90,9 +90,9 @@ pub struct Alignment {
     /// Share of walls that lie on the other map's floor, 0 to 1.
     pub conflict: f64,
     /// The same where long walls that match do not count: rooms of one size share those, 0 to 1.
-    pub object_conflict: f64,
+    pub short_wall_conflict: f64,
     /// Length of short walls that match, of both maps together, metres.
-    pub objects_m: f64,
+    pub short_walls_m: f64,
     /// Mean distance of matched walls, metres.
     pub residual_m: f64,
     /// Matched walls less contradicted ones (weighted 2.7), metres.
@@ -102,7 +102,7 @@ pub struct Alignment {
     pub margin: f64,
     /// Length of short walls that match over that at the best other place that nothing contradicts, or over 2 m if no other place
     /// has as many. 0 where only one place was looked at, or where the place fails already.
-    pub objects_margin: f64,
+    pub short_walls_margin: f64,
     /// Observability of the position: 0 if the map can slide along itself, 0.5 if it is held alike in all directions.
     pub observability: f64,
 }
@@ -162,31 +162,31 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
 struct RefinedCandidate {
     /// The walls of both maps there.
     fine: WallMatch,
-    /// The objects of both maps there.
-    objects: ObjectMatch,
+    /// The short walls of both maps there.
+    short_walls: ShortWallMatch,
 }
 
 impl RefinedCandidate {
-    /// Whether neither walls nor objects contradict it.
+    /// Whether neither all walls nor short walls alone contradict it.
     fn is_possible(&self, config: &AlignConfig) -> bool {
-        self.fine.conflict() <= config.conflict_max && self.objects.conflict() <= config.object_conflict_max
+        self.fine.conflict() <= config.conflict_max && self.short_walls.conflict() <= config.short_wall_conflict_max
     }
 }
 
-/// Two maps with their objects.
+/// Two maps with their short walls.
 struct CandidateVerifier<'a> {
     fields: [&'a DistanceField; 2],
-    objects: [ObjectPoints; 2],
+    short_walls: [ShortWalls; 2],
 }
 
 impl<'a> CandidateVerifier<'a> {
     fn new(fields: [&'a DistanceField; 2]) -> Self {
-        Self { fields, objects: fields.map(ObjectPoints::new) }
+        Self { fields, short_walls: fields.map(ShortWalls::new) }
     }
 
     /// Compares the short walls, and adds them to the long ones.
     fn compare_short_walls(&self, fine: WallMatch) -> RefinedCandidate {
-        RefinedCandidate { fine, objects: match_objects(self.fields, self.objects.each_ref(), fine.a_from_b) }
+        RefinedCandidate { fine, short_walls: match_short_walls(self.fields, self.short_walls.each_ref(), fine.a_from_b) }
     }
 
     /// Returns the best place with its margins over all others.
@@ -197,14 +197,14 @@ impl<'a> CandidateVerifier<'a> {
         let others = places.iter().filter(is_other).map(WallMatch::score);
         let score = best.fine.score() / others.fold(rival_score_min(self.fields), f64::max);
         if score < config.margin_min || !best.is_possible(config) {
-            return Some((best, Margins { score, objects: 0.0 }));
+            return Some((best, Margins { score, short_walls: 0.0 }));
         }
-        let repeated = repeated_places(self.fields, &self.objects[1], best.fine.a_from_b);
+        let repeated = repeated_places(self.fields, &self.short_walls[1], best.fine.a_from_b);
         let rivals =
             places.iter().chain(&repeated).filter(is_other).map(|other| self.compare_short_walls(*other));
-        let objects_m = rivals.filter(|rival| rival.is_possible(config)).map(|rival| rival.objects.matched_m);
-        let objects = best.objects.matched_m / objects_m.fold(RIVAL_OBJECTS_MIN_M, f64::max);
-        Some((best, Margins { score, objects }))
+        let short_walls_m = rivals.filter(|rival| rival.is_possible(config)).map(|rival| rival.short_walls.matched_m);
+        let short_walls = best.short_walls.matched_m / short_walls_m.fold(RIVAL_SHORT_WALLS_MIN_M, f64::max);
+        Some((best, Margins { score, short_walls }))
     }
 }
 
@@ -214,7 +214,7 @@ struct Margins {
     /// Of the scores.
     score: f64,
     /// Of the lengths of short walls that match. Places that something contradicts do not count.
-    objects: f64,
+    short_walls: f64,
 }
 
 /// Returns the points of both maps; `None` if one is malformed or has no walls.
@@ -276,7 +276,7 @@ fn match_walls_at(fields: [&DistanceField; 2], a_from_b: Pose2) -> WallMatch {
 
 /// Returns the thresholds for one place alone.
 fn without_margins(config: &AlignConfig) -> AlignConfig {
-    AlignConfig { margin_min: 0.0, objects_margin_min: 0.0, ..config.clone() }
+    AlignConfig { margin_min: 0.0, short_walls_margin_min: 0.0, ..config.clone() }
 }
 
 /// Returns the number of wall points of a length of walls.
@@ -365,7 +365,7 @@ fn judge(
     margins: Margins,
     config: &AlignConfig,
 ) -> Alignment {
-    let (walls, objects) = (&candidate.fine, &candidate.objects);
+    let (walls, short_walls) = (&candidate.fine, &candidate.short_walls);
     let cells = compare_cells(a, b, a_from_b, &config.walls);
     let GridAgreement { agreement, occupied_f1, overlap_m2, overlap_share, occupied_found, .. } = cells;
     let [walls_a_m, walls_b_m] =
@@ -381,12 +381,12 @@ fn judge(
         overlap_m2,
         overlap_share,
         conflict: walls.conflict(),
-        object_conflict: objects.conflict(),
-        objects_m: objects.matched_m,
+        short_wall_conflict: short_walls.conflict(),
+        short_walls_m: short_walls.matched_m,
         residual_m: walls.residual_m,
         score_m: walls.score() * a.header.resolution_m,
         margin: margins.score,
-        objects_margin: margins.objects,
+        short_walls_margin: margins.short_walls,
         observability: walls.observability,
     };
     found.refusal = refusal_of(&found, candidate, walls_a_m + walls_b_m, config);

@@ -40,7 +40,7 @@ pub struct AlignConfig {
     /// Least F1 of occupied cells, 0 to 1, at a tolerance of `walls.tolerance_m`.
     pub occupied_f1_min: f64,
     /// Least lead of that F1 over the best of 20 wrong transforms, 0 to 1: what chance cannot reach.
-    pub chance_lead_min: f64,
+    pub f1_above_chance_min: f64,
     /// Largest share of walls that lie on the other map's floor, 0 to 1.
     ///
     /// Counted are walls on floor and walls on walls. This figure separates the best place in a wrong building from a
@@ -50,10 +50,10 @@ pub struct AlignConfig {
     ///
     /// Rooms of one size share their outline; furniture, niches and doors tell them apart. Right places of the bench's pairs
     /// have 0.22 at most, those of generated seeds mostly 0.12; wrong ones of generated seeds from 0.28 on.
-    pub object_conflict_max: f64,
+    pub short_wall_conflict_max: f64,
     /// Least length of short walls that match, of both maps together, metres, 0 to 10000. Right places of the bench's pairs have
     /// 9 and more; empty rooms and corridors have less, and are like others.
-    pub objects_min_m: f64,
+    pub short_walls_min_m: f64,
     /// Least area known to both maps, square metres, 0 to 10000.
     pub overlap_min_m2: f64,
     /// Least length of walls that the other map has too, of both maps together, metres, 0 to 10000. 10 m are a room.
@@ -64,7 +64,7 @@ pub struct AlignConfig {
     ///
     /// Where objects repeat, as pillars do, another place matches as many. Right places of the bench's pairs have 1.69 and more,
     /// wrong ones in halls of equal bays 1.34 at most.
-    pub objects_margin_min: f64,
+    pub short_walls_margin_min: f64,
     /// Least observability of the position, 0 to 0.5: below it a map can slide along itself, as in a corridor.
     pub observability_min: f64,
     /// When walls of two maps are the same, or contradict each other; for submaps, too.
@@ -76,14 +76,14 @@ impl Default for AlignConfig {
         Self {
             agreement_min: 0.94,
             occupied_f1_min: 0.80,
-            chance_lead_min: 0.3,
+            f1_above_chance_min: 0.3,
             conflict_max: 0.11,
-            object_conflict_max: 0.25,
-            objects_min_m: 6.0,
+            short_wall_conflict_max: 0.25,
+            short_walls_min_m: 6.0,
             overlap_min_m2: 10.0,
             walls_min_m: 10.0,
             margin_min: 1.7,
-            objects_margin_min: 1.5,
+            short_walls_margin_min: 1.5,
             observability_min: 0.03,
             walls: WallConfig::default(),
         }
@@ -246,14 +246,14 @@ impl AlignConfig {
     pub fn validate(&self) -> Result<(), InvalidMergeConfig> {
         check("align.agreement_min", self.agreement_min, SHARE, "a share, 0 to 1")?;
         check("align.occupied_f1_min", self.occupied_f1_min, SHARE, "a share, 0 to 1")?;
-        check("align.chance_lead_min", self.chance_lead_min, SHARE, "a share, 0 to 1")?;
+        check("align.f1_above_chance_min", self.f1_above_chance_min, SHARE, "a share, 0 to 1")?;
         check("align.conflict_max", self.conflict_max, SHARE, "a share, 0 to 1")?;
-        check("align.object_conflict_max", self.object_conflict_max, SHARE, "a share, 0 to 1")?;
-        check("align.objects_min_m", self.objects_min_m, EXTENT, "0 to 10000 m")?;
+        check("align.short_wall_conflict_max", self.short_wall_conflict_max, SHARE, "a share, 0 to 1")?;
+        check("align.short_walls_min_m", self.short_walls_min_m, EXTENT, "0 to 10000 m")?;
         check("align.overlap_min_m2", self.overlap_min_m2, EXTENT, "0 to 10000 m²")?;
         check("align.walls_min_m", self.walls_min_m, EXTENT, "0 to 10000 m")?;
         check("align.margin_min", self.margin_min, RATIO, "a ratio, 0 to 100")?;
-        check("align.objects_margin_min", self.objects_margin_min, RATIO, "a ratio, 0 to 100")?;
+        check("align.short_walls_margin_min", self.short_walls_margin_min, RATIO, "a ratio, 0 to 100")?;
         check("align.observability_min", self.observability_min, OBSERVABILITY, "0 to 0.5")?;
         let walls = &self.walls;
         check("align.walls.match_m", walls.match_m, WALL_M, "0.01 to 0.5 m")?;

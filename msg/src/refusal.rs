@@ -13,7 +13,7 @@ pub enum AlignmentRefusal {
     /// Too few walls or cells agree.
     LittleAgreement = 4,
     /// Too little furniture, doors and niches are in both maps: long walls are like others.
-    FewObjects = 5,
+    FewShortWalls = 5,
     /// One map can slide along the other, as in a corridor.
     Slides = 6,
     /// Another place is nearly as good.
@@ -33,7 +33,7 @@ impl AlignmentRefusal {
         Self::FewWalls,
         Self::Contradicted,
         Self::LittleAgreement,
-        Self::FewObjects,
+        Self::FewShortWalls,
         Self::Slides,
         Self::OtherPlace,
         Self::Chance,
@@ -53,7 +53,7 @@ impl AlignmentRefusal {
             Self::FewWalls => "too few walls are in both maps",
             Self::Contradicted => "walls of one lie on the floor of the other at the best place",
             Self::LittleAgreement => "too few walls agree at the best place",
-            Self::FewObjects => "too little furniture, doors and niches are in both maps",
+            Self::FewShortWalls => "too little furniture, doors and niches are in both maps",
             Self::Slides => "one map can slide along the other, as in a corridor",
             Self::OtherPlace => "two places are nearly equally good",
             Self::Chance => "walls agree little better than at wrong places",

@@ -74,7 +74,7 @@ impl Storage for DiskStorage {
     fn write_map(&self, stem: &Path, map: GridView<'_>, reasons: &[&str]) -> Result<(), MapFileError> {
         // If this fails, writing the file reports the reason.
         let _ = create_folder_of(stem);
-        map_file::write_doubted_map(stem, map, reasons)
+        map_file::write_map_with_reasons(stem, map, reasons)
     }
 
     fn read_map(&self, path: &Path) -> Result<Grid, MapFileError> {

@@ -9,7 +9,7 @@
 mod append;
 mod component_search;
 mod components;
-mod doubts;
+mod reliability;
 mod lifelong;
 mod links;
 mod localization_state;
@@ -24,7 +24,7 @@ mod testing;
 mod uncertain_components;
 mod undo;
 
-pub use doubts::DoubtMonitor;
+pub use reliability::ReliabilityMonitor;
 pub use loop_closures::RejectedClosure;
 pub use modes::{InitialPose, PlaceInMap};
 pub use state::BackEndState;
@@ -91,7 +91,7 @@ pub struct BackEnd {
     lifelong: Lifelong,
     numbers: NodeNumbers,
     odometry_noise: OdometryNoise,
-    doubts: DoubtMonitor,
+    reliability: ReliabilityMonitor,
     mapper: OccupancyMapper,
     /// The newest node that odometry alone connects with the nodes before: whether that is right is not yet verified.
     unverified_node: Option<u32>,
@@ -142,7 +142,7 @@ impl BackEnd {
             lifelong: Lifelong::default(),
             numbers: NodeNumbers::default(),
             odometry_noise: OdometryNoise::new(),
-            doubts: DoubtMonitor::default(),
+            reliability: ReliabilityMonitor::default(),
             mapper: OccupancyMapper::new(config.map.clone()),
             unverified_node: None,
             unsolved: 0,
@@ -162,7 +162,7 @@ impl BackEnd {
         let node = node.into_owned();
         self.numbers.newest_front = node.id;
         self.process_node(node);
-        self.update_doubts();
+        self.update_reliability();
         self.stages.stage_started(Stage::Idle);
         self.frame_update()
     }
@@ -212,7 +212,7 @@ impl BackEnd {
             left -= 1;
         }
         self.solve(false);
-        self.renew_doubts();
+        self.renew_reliability();
         self.stages.stage_started(Stage::Idle);
     }
 

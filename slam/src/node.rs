@@ -144,7 +144,7 @@ pub struct MapFrameUpdate {
     pub closures: u32,
     /// Whether the robot is located in its map; if not, `map_from_local` is not valid.
     pub located: bool,
-    /// Whether there is evidence that the map is wrong: see `MapDoubts`.
+    /// Whether there is evidence that the map is wrong: see `ReliabilityEvidence`.
     ///
     /// A session does not keep it: the back end finds it anew.
     #[serde(skip)]

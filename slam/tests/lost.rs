@@ -215,7 +215,7 @@ fn in_a_corridor_the_covariance_is_long_and_the_state_says_so() {
             }
         }
     }
-    // In the map the doubt along the corridor adds up: after 3 m it is less than a tenth, after 10 m or so twice that.
+    // In the map the uncertainty along the corridor adds up: after 3 m it is less than a tenth, after 10 m or so twice that.
     assert!(in_map[0] < 0.1 && in_map[1] > 1.5 * in_map[0], "{in_map:?} along");
     assert!(degenerate > 95, "{degenerate} of 100");
     // In a room every direction is known.
@@ -226,7 +226,7 @@ fn in_a_corridor_the_covariance_is_long_and_the_state_says_so() {
 }
 
 /// In a small room the covariance is hardly more than that of the pose in the local map, so it is held against the motion
-/// since a scan a moment ago, of which it is about half the doubt: normalised estimation error squared of
+/// since a scan a moment ago, of which it is about half the uncertainty: normalised estimation error squared of
 /// (x, y, yaw), whose mean is 3 if it is right (Bar-Shalom, Li, Kirubarajan, "Estimation with
 /// applications to tracking and navigation", 2001, section 5.4).
 #[test]
@@ -250,7 +250,7 @@ fn the_covariance_is_about_what_the_error_is() {
                 let known = pose_estimate.state() != TrackingState::Lost;
                 if let (Some((said, was, covariance)), true) = (before, known) {
                     let error = was.between(truth).inverse() * said.between(now.0);
-                    // In axes of the robot, both doubts together.
+                    // In axes of the robot, both uncertainties together.
                     let p = [covariance, now.2].map(|c| turned(c, -now.0.yaw_rad));
                     let e = nalgebra::Vector3::new(error.x_m, error.y_m, error.yaw_rad);
                     let inverse = (p[0] + p[1]).try_inverse().unwrap();

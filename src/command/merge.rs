@@ -1,7 +1,7 @@
 //! Tool `mr-slam merge`, which merges map files of robots that started anywhere.
 
 use super::output;
-use formats::map_file::{MapFileError, read_doubted_map, write_doubted_map};
+use formats::map_file::{MapFileError, read_map_with_reasons, write_map_with_reasons};
 use merge::{AlignConfig, Alignment, MapRejected, MergeConfig, Merger, align};
 use msg::{AlignmentRefusal, Grid, GridHeader, GridView, Pose2, ROBOTS_MAX, RobotId};
 use serde_json::json;
@@ -65,7 +65,7 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
     if args.maps.len() > ROBOTS_MAX {
         return Err(MergeMapsError::TooMany(args.maps.len()));
     }
-    let maps = args.maps.iter().map(|yaml| read_doubted_map(yaml)).collect::<Result<Vec<_>, _>>()?;
+    let maps = args.maps.iter().map(|yaml| read_map_with_reasons(yaml)).collect::<Result<Vec<_>, _>>()?;
     let (maps, reasons): (Vec<Grid>, Vec<Vec<String>>) = maps.into_iter().unzip();
     let frame_from_lattice = maps[0].header.origin;
     let mut merger = start(args, &maps)?;
@@ -87,7 +87,7 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
         let origin = frame_from_lattice * merged.header.origin;
         let header = GridHeader { origin, ..*merged.header };
         let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
-        write_doubted_map(&stem, GridView { header: &header, cells: merged.cells }, &reasons)?;
+        write_map_with_reasons(&stem, GridView { header: &header, cells: merged.cells }, &reasons)?;
     }
     Ok(())
 }
@@ -97,12 +97,12 @@ fn reasons_of_merged(files: &[PathBuf], reasons: &[Vec<String>], places: &[Optio
     // The first map has no place: it is where the others are laid.
     let is_in = |place: &Option<Place>| place.as_ref().is_none_or(|place| place.accepted().is_some());
     let merged = files.iter().zip(reasons).zip(places).filter(|(_, place)| is_in(place));
-    let doubted = merged.filter(|((_, reasons), _)| !reasons.is_empty());
+    let with_reasons = merged.filter(|((_, reasons), _)| !reasons.is_empty());
     let reason = |((file, reasons), _): ((&PathBuf, &Vec<String>), _)| {
         let name = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy();
         format!("{name}: {}", reasons.join("; ")).chars().take(REASON_CHARS_MAX).collect()
     };
-    doubted.map(reason).collect()
+    with_reasons.map(reason).collect()
 }
 
 /// Creates a merger with all maps, of which the first has a place: its cells are those of the merged map, so that it is
@@ -157,25 +157,25 @@ fn place_all(
 /// Formats the alignment as JSON: p_a = R(theta) p_b + (x, y), metres and radians.
 fn as_json(name: &str, place: &Place) -> serde_json::Value {
     let Some(found) = &place.alignment else {
-        return json!({"map": name, "accepted": false, "inliers": 0, "score": 0.0, "ms": place.ms});
+        return json!({"map": name, "accepted": false, "inliers": 0, "occupied_f1": 0.0, "ms": place.ms});
     };
     json!({
         "map": name,
         "accepted": found.accepted,
-        "why_not": found.refusal.map(AlignmentRefusal::text),
+        "refusal": found.refusal.map(AlignmentRefusal::text),
         "x": found.a_from_b.x_m,
         "y": found.a_from_b.y_m,
         "theta": found.a_from_b.yaw_rad,
         "inliers": found.inliers,
-        "score": found.occupied_f1,
+        "occupied_f1": found.occupied_f1,
         "ms": place.ms,
-        "strict": found.agreement,
+        "agreement": found.agreement,
         "conflict": found.conflict,
         "overlap_m2": found.overlap_m2,
         "overlap_share": found.overlap_share,
         "residual_m": found.residual_m,
         "margin": found.margin,
-        "objects_margin": found.objects_margin,
+        "short_walls_margin": found.short_walls_margin,
         "observability": found.observability,
     })
 }
@@ -261,14 +261,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         write_map(&path("a"), part(0, 200, Pose2::IDENTITY).view()).unwrap();
-        write_doubted_map(&path("b"), part(80, 300, Pose2::IDENTITY).view(), &["walls moved", "lost"])
+        write_map_with_reasons(&path("b"), part(80, 300, Pose2::IDENTITY).view(), &["walls moved", "lost"])
             .unwrap();
         // A map without a place in the merged one does not count.
         let empty = Grid { cells: vec![-60; 200 * 200], ..part(0, 200, Pose2::IDENTITY) };
-        write_doubted_map(&path("c"), empty.view(), &["empty"]).unwrap();
+        write_map_with_reasons(&path("c"), empty.view(), &["empty"]).unwrap();
         let maps = ["a.yaml", "b.yaml", "c.yaml"].map(path).to_vec();
         run(&MergeArgs { maps, out: Some(path("whole")), json: true }).unwrap();
-        let (_, reasons) = read_doubted_map(&path("whole.yaml")).unwrap();
+        let (_, reasons) = read_map_with_reasons(&path("whole.yaml")).unwrap();
         assert_eq!(reasons, ["b.yaml: walls moved; lost"]);
     }
 

@@ -24,7 +24,7 @@ use crate::config::{FleetConfig, recorded_log_slam};
 use crate::session_file;
 use crate::sessions::TOLD_SIGMA;
 use formats::carmen::LaserLine;
-use formats::map_file::write_doubted_map;
+use formats::map_file::write_map_with_reasons;
 use merge::MergeConfig;
 use msg::{Odometry, Pose2, Scan, Stamp};
 use records::{BagArgs, Log, is_recording};
@@ -167,7 +167,7 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
     summary.map_ms = Some(drawing.elapsed().as_secs_f64() * 1e3);
     (summary.map_width, summary.map_height) = (Some(grid.header.width), Some(grid.header.height));
     if let Some(path) = &args.map {
-        write_doubted_map(&path.with_extension(""), grid, &summary.doubts_in_words)?;
+        write_map_with_reasons(&path.with_extension(""), grid, &summary.unreliable_reasons)?;
     }
     Ok(output::print_either(args.json, &summary, || summary.text())?)
 }

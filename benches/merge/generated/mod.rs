@@ -68,7 +68,7 @@ impl Judged {
         let is_there = found.a_from_b.distance_m(truth.a_from_b) < SAME_PLACE_M;
         let margin = if is_there { found.margin } else { truth.score_m / found.score_m };
         let config = AlignConfig::default();
-        let repeats = is_there && found.objects_margin < config.objects_margin_min;
+        let repeats = is_there && found.short_walls_margin < config.short_walls_margin_min;
         truth.accepted && margin >= config.margin_min && !repeats
     }
 

@@ -9,7 +9,7 @@ use crate::settings::slam_config;
 use msg::{Header, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
-use slam::{BackEnd, EdgeKind, FrontEnd, MapDoubts, PlaceInMap, Slam};
+use slam::{BackEnd, EdgeKind, FrontEnd, ReliabilityEvidence, PlaceInMap, Slam};
 use std::path::Path;
 
 /// An error that people call a wrong map, metres.
@@ -86,7 +86,7 @@ pub struct Outcome {
     /// Whether SLAM was lost at the end.
     pub lost_at_end: bool,
     /// Evidence that the map is wrong, as SLAM has it at the end.
-    pub doubts: MapDoubts,
+    pub evidence: ReliabilityEvidence,
     /// Whether SLAM calls its map unreliable.
     pub is_unreliable: bool,
     /// Number of active closures: right, wrong.
@@ -207,7 +207,7 @@ impl Outcome {
             }
         }
         back.finish();
-        (self.doubts, self.is_unreliable) = (back.doubts(), back.doubts().is_unreliable());
+        (self.evidence, self.is_unreliable) = (back.reliability_evidence(), back.reliability_evidence().is_unreliable());
         self.nees = median(nees);
     }
 

@@ -123,7 +123,7 @@ pub(super) fn encode(
 }
 
 /// Encodes a grey PNG with the reasons why its map is unreliable, if there are any, as text `Unreliable`.
-pub(super) fn encode_doubted(
+pub(super) fn encode_with_reasons(
     file: impl Write,
     width: u32,
     height: u32,

@@ -122,7 +122,7 @@ fn an_unreliable_map_says_why_and_is_read_as_any_other() {
     write_map(&folder.path().join("good"), grid.view()).unwrap();
     assert!(!String::from_utf8(read("good.yaml")).unwrap().contains("unreliable"));
     let reasons = ["scans see through \"walls\"", "robot2: lost"];
-    write_doubted_map(&folder.path().join("bad"), grid.view(), &reasons).unwrap();
+    write_map_with_reasons(&folder.path().join("bad"), grid.view(), &reasons).unwrap();
     let yaml = String::from_utf8(read("bad.yaml")).unwrap();
     assert!(yaml.contains("unreliable: [\"scans see through \\\"walls\\\"\", \"robot2: lost\"]\n"), "{yaml}");
     let text = b"Unreliable\0scans see through \"walls\"; robot2: lost";
@@ -130,7 +130,7 @@ fn an_unreliable_map_says_why_and_is_read_as_any_other() {
     assert_eq!(read("bad.pgm"), read("good.pgm"));
     let map = |name: &str| read_map(&folder.path().join(name)).unwrap();
     assert_eq!(map("bad.yaml").cells, map("good.yaml").cells);
-    let reasons_of = |name: &str| read_doubted_map(&folder.path().join(name)).unwrap().1;
+    let reasons_of = |name: &str| read_map_with_reasons(&folder.path().join(name)).unwrap().1;
     assert_eq!(reasons_of("bad.yaml"), reasons);
     assert!(reasons_of("good.yaml").is_empty());
     // Another program's field of the same name is no reason not to read the map.

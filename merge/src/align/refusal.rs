@@ -19,10 +19,10 @@ pub(super) fn refusal_of(
         (AlignmentRefusal::Contradicted, candidate.is_possible(config)),
         (AlignmentRefusal::LittleAgreement, found.agreement >= config.agreement_min),
         (AlignmentRefusal::LittleAgreement, found.occupied_f1 >= config.occupied_f1_min),
-        (AlignmentRefusal::FewObjects, found.objects_m >= config.objects_min_m),
+        (AlignmentRefusal::FewShortWalls, found.short_walls_m >= config.short_walls_min_m),
         (AlignmentRefusal::Slides, found.observability >= config.observability_min),
         (AlignmentRefusal::OtherPlace, found.margin >= config.margin_min),
-        (AlignmentRefusal::OtherPlace, found.objects_margin >= config.objects_margin_min),
+        (AlignmentRefusal::OtherPlace, found.short_walls_margin >= config.short_walls_margin_min),
     ];
     passed.into_iter().find(|(_, passed)| !passed).map(|(reason, _)| reason)
 }

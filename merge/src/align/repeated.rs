@@ -4,7 +4,7 @@
 //! propose the true one. So the map is moved until one of its matched objects takes the place of another.
 
 use super::distance_field::DistanceField;
-use super::objects::ObjectPoints;
+use super::short_walls::ShortWalls;
 use super::refine::COARSE_KERNELS_M;
 use super::{WallMatch, is_same_place, match_walls, refine, strides, wall_proximity};
 use core::f64::consts::PI;
@@ -28,10 +28,10 @@ const REFINED_MAX: usize = 24;
 /// Finds the places of b in a at which matched objects of b lie on other objects than at `best`, refined.
 pub(crate) fn repeated_places(
     fields: [&DistanceField; 2],
-    objects_of_b: &ObjectPoints,
+    short_walls_of_b: &ShortWalls,
     best: Pose2,
 ) -> Vec<WallMatch> {
-    let centres = matched_objects(fields[0], objects_of_b, best);
+    let centres = matched_objects(fields[0], short_walls_of_b, best);
     let mut places: Vec<Pose2> = Vec::new();
     for (i, from) in centres.iter().enumerate() {
         for (j, to) in centres.iter().enumerate() {
@@ -58,10 +58,10 @@ pub(crate) fn repeated_places(
 }
 
 /// Centres of the objects of b that match a's walls, in b's frame, metres: those with most wall first.
-fn matched_objects(a: &DistanceField, objects_of_b: &ObjectPoints, a_from_b: Pose2) -> Vec<[f64; 2]> {
+fn matched_objects(a: &DistanceField, short_walls_of_b: &ShortWalls, a_from_b: Pose2) -> Vec<[f64; 2]> {
     // Sum and number of the points of each object.
     let mut objects: Vec<([f64; 2], [f64; 2], usize)> = Vec::new();
-    for at in objects_of_b.matched_points(a, a_from_b) {
+    for at in short_walls_of_b.matched_points(a, a_from_b) {
         let is_near = |first: &[f64; 2]| (first[0] - at[0]).hypot(first[1] - at[1]) < OBJECT_M;
         match objects.iter_mut().find(|(first, ..)| is_near(first)) {
             Some((_, sum, count)) => {
@@ -71,7 +71,7 @@ fn matched_objects(a: &DistanceField, objects_of_b: &ObjectPoints, a_from_b: Pos
             None => objects.push((at, at, 1)),
         }
     }
-    objects.retain(|(_, _, count)| *count as f64 * objects_of_b.point_m() >= OBJECT_WALL_MIN_M);
+    objects.retain(|(_, _, count)| *count as f64 * short_walls_of_b.point_m() >= OBJECT_WALL_MIN_M);
     objects.sort_by_key(|(_, _, count)| core::cmp::Reverse(*count));
     objects.truncate(OBJECTS_MAX);
     objects.into_iter().map(|(_, sum, count)| sum.map(|sum| sum / count as f64)).collect()

@@ -138,10 +138,10 @@ fn the_same_rooms_with_other_furniture_are_refused() {
         let b = redrawn(&map(plan, -160, 160), turned);
         align(a.view(), b.view(), &AlignConfig::default()).unwrap()
     });
-    assert!(same.accepted && same.object_conflict < 0.1, "{same:?}");
+    assert!(same.accepted && same.short_wall_conflict < 0.1, "{same:?}");
     // Of all walls, hardly any contradict: the outline outweighs the furniture.
     assert!(other.conflict < AlignConfig::default().conflict_max, "{other:?}");
-    assert!(!other.accepted && other.object_conflict > 0.5, "{other:?}");
+    assert!(!other.accepted && other.short_wall_conflict > 0.5, "{other:?}");
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn opposite_ends_of_a_hall_of_equal_bays_are_refused() {
     let config = AlignConfig::default();
     let found = align(a.view(), redrawn(&b, Pose2::new(1.0, 2.0, 0.7)).view(), &config).unwrap();
     assert!(found.conflict < config.conflict_max && found.margin > config.margin_min, "{found:?}");
-    assert!(!found.accepted && found.objects_margin < config.objects_margin_min, "{found:?}");
+    assert!(!found.accepted && found.short_walls_margin < config.short_walls_margin_min, "{found:?}");
 }
 
 #[test]

@@ -47,7 +47,7 @@ pub(crate) struct AlignmentResult {
     pub pair: usize,
     nodes: [u32; 2],
     found: Option<Evidence>,
-    chance_lead_min: f64,
+    f1_above_chance_min: f64,
 }
 
 /// Work: compare the maps of two robots where the fleet's graph has them.
@@ -114,7 +114,7 @@ pub(crate) fn next_check(
         let nodes = a.submaps.node_count() + b.submaps.node_count();
         let checked_at = pair.schedule.checked_at_nodes;
         let has_grown = f64::from(nodes) >= CHECK_GROWTH_FACTOR * f64::from(checked_at)
-            || (pair.starts.are_doubted() && nodes >= checked_at + GROWTH_NODES_OF_CANDIDATE);
+            || (pair.starts.are_unverified() && nodes >= checked_at + GROWTH_NODES_OF_CANDIDATE);
         if a.estimate.map_from_robot_map().is_none()
             || b.estimate.map_from_robot_map().is_none()
             || !has_grown
@@ -146,7 +146,7 @@ fn near_start(submaps: &SubmapStore) -> Vec<PlacedSubmap> {
 fn is_due(index: usize, pair: &RobotPair, robots: &[Robot]) -> bool {
     let [a, b] = robots_of_pair(index).map(|robot| &robots[robot]);
     let in_one_graph = a.estimate.map_from_robot_map().is_some() && b.estimate.map_from_robot_map().is_some();
-    // Given starts are doubted only until the maps have confirmed them.
+    // Given starts are verified until the maps have confirmed them.
     let by_starts = a_from_b_of_starts(a, b).is_some() && !pair.starts.are_confirmed();
     let nodes = [a, b].map(|robot| robot.submaps.node_count());
     let schedule = &pair.schedule;
@@ -195,8 +195,8 @@ impl AlignJob {
                 Evidence { alignment, null_f1_max: 0.0 }
             })
         });
-        let chance_lead_min = self.config.chance_lead_min;
-        AlignmentResult { pair: self.pair, nodes: self.nodes, found, chance_lead_min }
+        let f1_above_chance_min = self.config.f1_above_chance_min;
+        AlignmentResult { pair: self.pair, nodes: self.nodes, found, f1_above_chance_min }
     }
 }
 
@@ -237,7 +237,7 @@ impl AlignmentResult {
             edge.record_nothing_found();
             return false;
         };
-        edge.record_alignment(self.nodes, found, self.chance_lead_min, maps_are_complete)
+        edge.record_alignment(self.nodes, found, self.f1_above_chance_min, maps_are_complete)
     }
 }
 

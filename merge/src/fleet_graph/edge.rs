@@ -198,7 +198,7 @@ impl MapEdge {
         &mut self,
         nodes: [u32; 2],
         found: Evidence,
-        chance_lead_min: f64,
+        f1_above_chance_min: f64,
         maps_are_complete: bool,
     ) -> bool {
         let alignment = found.alignment;
@@ -206,7 +206,7 @@ impl MapEdge {
             self.is_rejected(alignment.a_from_b) || self.is_refuted(alignment.a_from_b, nodes[0] + nodes[1]);
         self.refusal = match alignment.refusal {
             Some(refusal) => Some(refusal),
-            None if alignment.occupied_f1 < found.null_f1_max + chance_lead_min => {
+            None if alignment.occupied_f1 < found.null_f1_max + f1_above_chance_min => {
                 Some(AlignmentRefusal::Chance)
             }
             None => is_out.then_some(AlignmentRefusal::Rejected),
@@ -228,10 +228,10 @@ impl MapEdge {
     /// Records a comparison of the two maps where the graph has them.
     pub fn record_check(&mut self, found: Evidence, config: &CheckConfig) -> CheckVerdict {
         // This comparison is of one place, so the margins over other places stay as they were.
-        let [margin, objects_margin] = self
+        let [margin, short_walls_margin] = self
             .evidence
-            .map_or([0.0; 2], |before| [before.alignment.margin, before.alignment.objects_margin]);
-        let alignment = Alignment { a_from_b: self.a_from_b, margin, objects_margin, ..found.alignment };
+            .map_or([0.0; 2], |before| [before.alignment.margin, before.alignment.short_walls_margin]);
+        let alignment = Alignment { a_from_b: self.a_from_b, margin, short_walls_margin, ..found.alignment };
         self.evidence = Some(Evidence { alignment, ..found });
         let contradicted =
             alignment.overlap_m2 >= config.overlap_min_m2 && alignment.occupied_f1 < config.f1_min;

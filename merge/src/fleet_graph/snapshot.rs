@@ -170,7 +170,7 @@ fn is_finite(evidence: &Evidence) -> bool {
         found.conflict,
         found.residual_m,
         found.margin,
-        found.objects_margin,
+        found.short_walls_margin,
         found.observability,
         evidence.null_f1_max,
     ];

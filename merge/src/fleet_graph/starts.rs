@@ -61,7 +61,7 @@ impl StartsOfPair {
     }
 
     /// Returns whether the maps contradicted the starts once, and a second comparison is awaited.
-    pub fn are_doubted(self) -> bool {
+    pub fn are_unverified(self) -> bool {
         self.contradictions > 0
     }
 
@@ -80,7 +80,7 @@ impl StartsOfPair {
             return is_refuted;
         }
         self.contradictions = 0;
-        if alignment.occupied_f1 >= found.null_f1_max + config.align.chance_lead_min {
+        if alignment.occupied_f1 >= found.null_f1_max + config.align.f1_above_chance_min {
             self.verdict = Verdict::Confirmed;
         }
         false

@@ -19,7 +19,7 @@ impl BackEnd {
         self.lifelong.contradicted.push(0);
         node.id = self.nodes.len() as u32;
         if let Some(estimate) = self.location.next_node_estimate.take() {
-            self.doubts.unmeasured_s = 0.0;
+            self.reliability.unmeasured_s = 0.0;
             return self.add_node_at_initial_pose(node, estimate);
         }
         let Some(previous) = self.nodes.last() else {
@@ -27,12 +27,12 @@ impl BackEnd {
             self.nodes.push(node);
             return;
         };
-        self.doubts.unmeasured_s += node.unmeasured_s;
-        if self.doubts.unmeasured_s > UNMEASURED_MAX_S {
+        self.reliability.unmeasured_s += node.unmeasured_s;
+        if self.reliability.unmeasured_s > UNMEASURED_MAX_S {
             node.odometry_break = true;
         }
         if node.odometry_break {
-            self.doubts.unmeasured_s = 0.0;
+            self.reliability.unmeasured_s = 0.0;
         }
         let moved = previous.local_from_base.between(node.local_from_base);
         let (a, b) = (previous.id, node.id);

@@ -155,7 +155,7 @@ impl BackEnd {
             return;
         }
         if self.is_beyond_reach(id, component, map_from_node) {
-            self.doubts.implausible_relocalizations += 1;
+            self.reliability.implausible_relocalizations += 1;
             return;
         }
         self.add_closures(&[ClosureCandidate {

@@ -152,7 +152,7 @@ impl BackEnd {
         self.numbers.front_ids.retain(|_| (keep(id), id += 1).0);
         let mut id = 0;
         self.lifelong.contradicted.retain(|_| (keep(id), id += 1).0);
-        self.doubts.retain_nodes(keep);
+        self.reliability.retain_nodes(keep);
         self.loop_closures.renumber(&number);
         self.lifelong.removed_nodes += gone.len() as u64;
         self.update_after_edge_change();

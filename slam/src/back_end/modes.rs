@@ -70,7 +70,7 @@ impl BackEnd {
             (state.travelled_m, state.unsolved, state.rejected_closures);
         (back.solutions, back.loop_closures.retracted, back.lifelong.removed_nodes) =
             (state.solutions, state.retracted, state.removed_nodes);
-        back.doubts = state.doubts;
+        back.reliability = state.reliability;
         back.update_after_edge_change();
         back.set_mode(mode);
         match start {
@@ -240,7 +240,7 @@ impl BackEnd {
             uncertainty: self.frame_uncertainty(),
             closures: self.loop_closures.active_count,
             located: map_from_local.is_some() && self.is_located(),
-            unreliable: self.doubts().is_unreliable(),
+            unreliable: self.reliability_evidence().is_unreliable(),
         }
     }
 

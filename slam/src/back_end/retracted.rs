@@ -7,7 +7,7 @@
 use super::BackEnd;
 use crate::closure::ClosureCandidate;
 use crate::graph::{Edge, EdgeKind};
-use crate::map_doubts::SuspectedBreak;
+use crate::reliability::SuspectedBreak;
 use msg::{Pose2, pose::wrap_angle};
 
 /// Closures whose ends are this near in order can be compared: the graph knows the way between their ends, some 12 m, well.
@@ -231,11 +231,11 @@ mod tests {
     fn a_map_that_contradicts_closures_which_agree_by_metres_is_unreliable() {
         let mut back = long_path();
         back.add_closures(&[closure(0, 14.7)]);
-        back.renew_doubts();
-        assert!(!back.doubts().is_unreliable(), "one alone may be wrong: {:?}", back.doubts());
+        back.renew_reliability();
+        assert!(!back.reliability_evidence().is_unreliable(), "one alone may be wrong: {:?}", back.reliability_evidence());
         back.add_closures(&[closure(1, 14.7)]);
-        back.renew_doubts();
-        assert_eq!((back.counts().closures, back.doubts().conflicting_closures), (0, 2));
-        assert!(back.doubts().is_unreliable());
+        back.renew_reliability();
+        assert_eq!((back.counts().closures, back.reliability_evidence().conflicting_closures), (0, 2));
+        assert!(back.reliability_evidence().is_unreliable());
     }
 }

@@ -1,6 +1,6 @@
 //! State of the back end, kept in a session.
 
-use super::{BackEnd, DoubtMonitor, RejectedClosure};
+use super::{BackEnd, ReliabilityMonitor, RejectedClosure};
 use crate::closure::ClosureDetectorState;
 use crate::graph::Edge;
 use crate::node::Node;
@@ -41,8 +41,8 @@ pub struct BackEndState {
     pub detector: ClosureDetectorState,
     /// Closures that were undone.
     pub rejected_closures: Vec<RejectedClosure>,
-    /// What is known of the doubts about the map.
-    pub doubts: DoubtMonitor,
+    /// Evidence that the map is wrong, and what it is computed from.
+    pub reliability: ReliabilityMonitor,
 }
 
 impl BackEnd {
@@ -64,7 +64,7 @@ impl BackEnd {
             unverified_node: self.unverified_node,
             detector: self.loop_closures.detector.state(),
             rejected_closures: self.loop_closures.rejected_closures.clone(),
-            doubts: self.doubts.clone(),
+            reliability: self.reliability.clone(),
         }
     }
 }

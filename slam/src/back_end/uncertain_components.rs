@@ -4,7 +4,7 @@
 //! for as everywhere, and with the covariance the component joins the map.
 
 use super::BackEnd;
-use crate::map_doubts::SuspectedBreak;
+use crate::reliability::SuspectedBreak;
 
 /// A node whose position has a larger standard deviation, relative to the map, is not part of it, metres. Public logs of large
 /// buildings, whose maps are right, have up to 1.48.
@@ -46,7 +46,7 @@ impl BackEnd {
 
     /// First node of the component of a node that lies beyond the place where the path is wrong, as seen from the larger part of it.
     fn component_beyond_break(&self, id: u32) -> Option<u32> {
-        let SuspectedBreak { before, after } = self.doubts.suspected_break?;
+        let SuspectedBreak { before, after } = self.reliability.suspected_break?;
         let is_earlier_larger = before + 1 >= self.nodes.len() as u32 - after.min(self.nodes.len() as u32);
         match is_earlier_larger {
             true => (id > before).then_some(before + 1),
@@ -132,7 +132,7 @@ mod tests {
     #[test]
     fn what_lies_beyond_a_wrong_motion_is_no_part_of_the_map() {
         let mut back = path_with_gap();
-        back.doubts.suspected_break = Some(SuspectedBreak { before: 49, after: 52 });
+        back.reliability.suspected_break = Some(SuspectedBreak { before: 49, after: 52 });
         back.update_covariances();
         assert!(back.nodes[20..50].iter().all(Node::is_placed));
         assert!(back.nodes[50..].iter().all(|node| node.unplaced_component() == Some(50)));

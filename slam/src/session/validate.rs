@@ -4,11 +4,11 @@
 
 use super::log::{LogPosition, LogRecord};
 use super::{Session, SessionError, SessionIdentity};
-use crate::back_end::{BackEndState, DoubtMonitor};
+use crate::back_end::{BackEndState, ReliabilityMonitor};
 use crate::closure::ClosureCandidate;
 use crate::front_end::FrontEndState;
 use crate::graph::Edge;
-use crate::map_doubts::{MapDoubts, NodeComparison, WallAgreement};
+use crate::reliability::{ReliabilityEvidence, NodeComparison, WallAgreement};
 use crate::node::{Node, Rays, SweptPath};
 use crate::relocalize::LocalFrameEstimate;
 use msg::{BEAMS_MAX, Pose2};
@@ -206,7 +206,7 @@ fn check_back_end(back: &BackEndState) -> Result {
         check(there, "rejected closure of a node that is not there")?;
         check_pose(rejected.a_from_b, "rejected closure")?;
     }
-    check_doubts(&back.doubts, nodes)?;
+    check_reliability(&back.reliability, nodes)?;
     check(back.unsolved as u64 <= COUNT_MAX, "number of unsolved nodes")?;
     let c = &detector.counts;
     let counts = [c.searches, c.below_min_response, c.ambiguous, c.contradicted, c.unconfirmed, c.accepted];
@@ -214,20 +214,20 @@ fn check_back_end(back: &BackEndState) -> Result {
     check_counters(counts)
 }
 
-fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
-    check_count(doubts.node_comparisons.len(), nodes, "nodes compared with others")?;
+fn check_reliability(evidence: &ReliabilityMonitor, nodes: usize) -> Result {
+    check_count(evidence.node_comparisons.len(), nodes, "nodes compared with others")?;
     let points = |comparison: &NodeComparison| {
         let WallAgreement { agree, contradict } = comparison.walls;
         [agree, contradict].iter().all(|points| *points <= COMPARED_POINTS_MAX)
     };
-    check(doubts.node_comparisons.iter().flatten().all(points), "number of compared points")?;
+    check(evidence.node_comparisons.iter().flatten().all(points), "number of compared points")?;
     let is_break_valid =
-        doubts.suspected_break.is_none_or(|at| at.before < at.after && (at.after as usize) < nodes);
+        evidence.suspected_break.is_none_or(|at| at.before < at.after && (at.after as usize) < nodes);
     check(is_break_valid, "place where the path is wrong")?;
-    check(doubts.cursor <= nodes, "node compared anew")?;
-    check(doubts.implausible_relocalizations <= NUMBER_MAX, "number of implausible relocalizations")?;
-    check((0.0..=UNMEASURED_S_MAX).contains(&doubts.unmeasured_s), "time without a measured motion")?;
-    let MapDoubts {
+    check(evidence.cursor <= nodes, "node compared anew")?;
+    check(evidence.implausible_relocalizations <= NUMBER_MAX, "number of implausible relocalizations")?;
+    check((0.0..=UNMEASURED_S_MAX).contains(&evidence.unmeasured_s), "time without a measured motion")?;
+    let ReliabilityEvidence {
         contradicted_share,
         odometry_residual_sigmas,
         unmeasured_motion_s,
@@ -235,7 +235,7 @@ fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
         position_sigma_m,
         unplaced_share,
         conflicting_closures,
-    } = doubts.current;
+    } = evidence.current;
     check((0.0..=1.0).contains(&contradicted_share), "share of contradicted points")?;
     check((0.0..=1.0).contains(&unplaced_share), "share of nodes that are not placed")?;
     check((0.0..=RESIDUAL_SIGMAS_MAX).contains(&odometry_residual_sigmas), "difference from odometry")?;

@@ -7,7 +7,7 @@ use super::records::{Log, Records};
 use super::{Feeder, ReplayArgs, ReplayError, Summary, trajectory::write_trajectory};
 use crate::command::output;
 use formats::carmen::LaserLine;
-use formats::map_file::write_doubted_map;
+use formats::map_file::write_map_with_reasons;
 use merge::{FleetPoseGraph, MergeConfig, Merger};
 use msg::{Grid, MergeEdges, Pose2, RobotId, SubmapPoses};
 use reports::{EdgeView, edge_table};
@@ -130,9 +130,9 @@ pub fn run(
     let mut robots = merged.replay(robots);
     let map = merged.map(merging, &mut robots);
     if let Some(path) = &args.map {
-        let reasons = merged.doubts(&robots);
+        let reasons = merged.unreliable_reasons(&robots);
         let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
-        write_doubted_map(&path.with_extension(""), map.view(), &reasons)?;
+        write_map_with_reasons(&path.with_extension(""), map.view(), &reasons)?;
     }
     if let Some(folder) = &args.trajectory {
         write_trajectories(folder, &robots, &merged.fleet)?;
@@ -262,10 +262,10 @@ impl Merged {
     }
 
     /// Reasons why the merged map is unreliable: those of the robots whose maps are in it, and of pairs that contradict each other.
-    fn doubts(&self, robots: &[Robot<'_>]) -> Vec<String> {
+    fn unreliable_reasons(&self, robots: &[Robot<'_>]) -> Vec<String> {
         let merged = robots.iter().filter(|robot| self.fleet.map_from_robot_map(robot.id).is_some());
         let reasons = merged
-            .flat_map(|robot| robot.back.doubts().reasons().map(|reason| format!("{}: {reason}", robot.id)));
+            .flat_map(|robot| robot.back.reliability_evidence().reasons().map(|reason| format!("{}: {reason}", robot.id)));
         reasons.chain(telemetry::contradictions(&self.edges())).collect()
     }
 

@@ -1,7 +1,7 @@
 //! Summary of a replay, for people and for programs.
 
 use serde::Serialize;
-use slam::{BackEnd, ClosureSearchCounts, FrontEnd, MapDoubts, RelocalizationCounts};
+use slam::{BackEnd, ClosureSearchCounts, FrontEnd, ReliabilityEvidence, RelocalizationCounts};
 use std::time::Duration;
 
 /// Figures of a replay of one log.
@@ -39,9 +39,9 @@ pub struct Summary {
     /// Whether there is evidence that the map is wrong: parts of it may be metres off.
     pub unreliable: bool,
     /// The evidence, each as a measured value.
-    pub doubts: MapDoubts,
+    pub evidence: ReliabilityEvidence,
     /// The evidence that is strong enough, in words.
-    pub doubts_in_words: Vec<&'static str>,
+    pub unreliable_reasons: Vec<&'static str>,
     /// Number of scan-to-scan edges.
     pub links: usize,
     /// Number of loop closures in the pose graph.
@@ -94,8 +94,8 @@ impl Summary {
                 s.unplaced_nodes, s.unplaced_components
             );
         }
-        for reason in &s.doubts_in_words {
-            text += &format!("  doubt     {reason}: the map may be wrong by metres\n");
+        for reason in &s.unreliable_reasons {
+            text += &format!("  unreliable {reason}: the map may be wrong by metres\n");
         }
         if let (Some(width), Some(height), Some(ms)) = (s.map_width, s.map_height, s.map_ms) {
             text += &format!("  map       {width} x {height} cells, rendered in {ms:.1} ms\n");
@@ -122,9 +122,9 @@ impl Summary {
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
         self.unplaced_nodes = done.unplaced;
         self.unplaced_components = back.unplaced_component_count();
-        self.doubts = back.doubts();
-        self.unreliable = self.doubts.is_unreliable();
-        self.doubts_in_words = self.doubts.reasons().collect();
+        self.evidence = back.reliability_evidence();
+        self.unreliable = self.evidence.is_unreliable();
+        self.unreliable_reasons = self.evidence.reasons().collect();
         self.failed_solutions = done.failed_solutions;
         self.closure_searches = done.searches;
         self.relocalization = done.relocalization;

@@ -147,7 +147,7 @@ impl<P: Ports> Services<P> {
             _ => stem,
         };
         let grid = state.back.map().to_owned();
-        let reasons = state.back.doubts().reasons().collect();
+        let reasons = state.back.reliability_evidence().reasons().collect();
         submit_file_job(state, request, stem, FileOperation::Draw { grid, reasons })
     }
 

@@ -207,7 +207,7 @@ pub fn odometry_residual_sigmas(steps: &[Option<OdometryStep>]) -> f64 {
 
 /// Evidence that a map is wrong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct MapDoubts {
+pub struct ReliabilityEvidence {
     /// Largest share of compared points, over some metres of path, that belong to walls which another pass saw through, 0 to 1.
     pub contradicted_share: f32,
     /// Largest difference of the map from odometry over some metres of path, standard deviations of odometry.
@@ -225,7 +225,7 @@ pub struct MapDoubts {
     pub conflicting_closures: u32,
 }
 
-impl MapDoubts {
+impl ReliabilityEvidence {
     /// Whether the evidence is strong enough to call the map unreliable.
     pub fn is_unreliable(&self) -> bool {
         self.reasons().next().is_some()
@@ -301,14 +301,14 @@ mod tests {
 
     #[test]
     fn every_kind_of_evidence_makes_a_map_unreliable_and_has_its_words() {
-        assert!(!MapDoubts::default().is_unreliable());
-        let doubts = [
-            MapDoubts { contradicted_share: 0.5, ..MapDoubts::default() },
-            MapDoubts { odometry_residual_sigmas: 8.0, ..MapDoubts::default() },
-            MapDoubts { unplaced_share: 0.4, ..MapDoubts::default() },
-            MapDoubts { conflicting_closures: 2, ..MapDoubts::default() },
+        assert!(!ReliabilityEvidence::default().is_unreliable());
+        let evidence = [
+            ReliabilityEvidence { contradicted_share: 0.5, ..ReliabilityEvidence::default() },
+            ReliabilityEvidence { odometry_residual_sigmas: 8.0, ..ReliabilityEvidence::default() },
+            ReliabilityEvidence { unplaced_share: 0.4, ..ReliabilityEvidence::default() },
+            ReliabilityEvidence { conflicting_closures: 2, ..ReliabilityEvidence::default() },
         ];
-        let words: Vec<_> = doubts.iter().flat_map(MapDoubts::reasons).collect();
+        let words: Vec<_> = evidence.iter().flat_map(ReliabilityEvidence::reasons).collect();
         assert_eq!(words.len(), 4);
         assert!((0..4).all(|a| (0..a).all(|b| words[a] != words[b])), "{words:?}");
     }

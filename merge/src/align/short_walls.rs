@@ -1,4 +1,4 @@
-//! Evidence by objects: do the short walls of two maps match, or stand on each other's floor?
+//! Evidence by short walls: do those of two maps match, or stand on each other's floor?
 //!
 //! Rooms of one size share their long walls wherever they are. What tells them apart is short: furniture, niches, door
 //! jambs. A share of all walls hides it, since a room's outline outweighs all that stands in it.
@@ -16,13 +16,13 @@ const STRAIGHT_CELLS: f32 = 1.5;
 const POINTS_MAX: usize = 6_000;
 
 /// Wall points of a map that are compared, and whether each is part of a long wall.
-pub(crate) struct ObjectPoints {
+pub(crate) struct ShortWalls {
     points: Vec<([f64; 2], bool)>,
     /// Length of wall that a point stands for, metres.
     point_m: f64,
 }
 
-impl ObjectPoints {
+impl ShortWalls {
     /// Chooses the points of a map.
     pub fn new(map: &DistanceField) -> Self {
         let stride = map.points.walls_m.len().div_ceil(POINTS_MAX).max(1);
@@ -55,14 +55,14 @@ impl ObjectPoints {
 
 /// Lengths of walls of both maps under a transform, metres.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct ObjectMatch {
+pub(crate) struct ShortWallMatch {
     /// Short walls that lie on a wall of the other map.
     pub matched_m: f64,
     /// Walls of any length that stand on the other map's floor.
     pub contradicted_m: f64,
 }
 
-impl ObjectMatch {
+impl ShortWallMatch {
     /// Share of contradicted walls where long ones that match do not count, 0 to 1.
     pub fn conflict(&self) -> f64 {
         self.contradicted_m / (self.matched_m + self.contradicted_m).max(f64::MIN_POSITIVE)
@@ -90,8 +90,8 @@ impl DistanceField {
     }
 
     /// Compares b's walls with this map.
-    fn match_objects_of(&self, b: &ObjectPoints, a_from_b: Pose2) -> ObjectMatch {
-        let mut result = ObjectMatch::default();
+    fn match_short_walls_of(&self, b: &ShortWalls, a_from_b: Pose2) -> ShortWallMatch {
+        let mut result = ShortWallMatch::default();
         for (at, is_long) in &b.points {
             let [u, v] = self.to_cells(a_from_b.apply(*at));
             if !(u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64) {
@@ -109,14 +109,14 @@ impl DistanceField {
     }
 }
 
-/// Compares the objects of both maps under a transform between their centred frames.
-pub(crate) fn match_objects(
+/// Compares the short walls of both maps under a transform between their centred frames.
+pub(crate) fn match_short_walls(
     [a, b]: [&DistanceField; 2],
-    [of_a, of_b]: [&ObjectPoints; 2],
+    [of_a, of_b]: [&ShortWalls; 2],
     a_from_b: Pose2,
-) -> ObjectMatch {
-    let (b_on_a, a_on_b) = (a.match_objects_of(of_b, a_from_b), b.match_objects_of(of_a, a_from_b.inverse()));
-    ObjectMatch {
+) -> ShortWallMatch {
+    let (b_on_a, a_on_b) = (a.match_short_walls_of(of_b, a_from_b), b.match_short_walls_of(of_a, a_from_b.inverse()));
+    ShortWallMatch {
         matched_m: a_on_b.matched_m + b_on_a.matched_m,
         contradicted_m: a_on_b.contradicted_m + b_on_a.contradicted_m,
     }

@@ -2,8 +2,8 @@
 //! others; the search for these looks at the pose of each node of the map.
 
 use super::BackEnd;
-use crate::map_doubts::{
-    MapDoubts, NodeComparison, OdometryStep, SuspectedBreak, WallAgreement, contradicted_share,
+use crate::reliability::{
+    ReliabilityEvidence, NodeComparison, OdometryStep, SuspectedBreak, WallAgreement, contradicted_share,
     odometry_residual_sigmas, suspected_break,
 };
 use crate::node::Node;
@@ -23,9 +23,9 @@ const RENEWED_NODES: usize = 1;
 /// Nodes after which what is known of the nodes is summed up.
 const SUMMARY_NODES: usize = 8;
 
-/// What is known of the doubts about the map; part of a session.
+/// Evidence that the map is wrong, and what it is computed from; part of a session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct DoubtMonitor {
+pub struct ReliabilityMonitor {
     /// How the nodes agree with older ones of other passes, by id; `None` where there are none.
     pub node_comparisons: Vec<Option<NodeComparison>>,
     /// The newest node that was compared anew.
@@ -37,10 +37,10 @@ pub struct DoubtMonitor {
     /// Where the path is wrong, by what its nodes contradict.
     pub suspected_break: Option<SuspectedBreak>,
     /// The evidence when it was summed up last.
-    pub current: MapDoubts,
+    pub current: ReliabilityEvidence,
 }
 
-impl DoubtMonitor {
+impl ReliabilityMonitor {
     /// Forgets what is known of nodes that are no more; the others get their new numbers.
     pub fn retain_nodes(&mut self, is_kept: impl Fn(usize) -> bool) {
         let mut kept = 0;
@@ -60,48 +60,48 @@ impl DoubtMonitor {
 
 impl BackEnd {
     /// Evidence that the map is wrong.
-    pub fn doubts(&self) -> MapDoubts {
-        self.doubts.current
+    pub fn reliability_evidence(&self) -> ReliabilityEvidence {
+        self.reliability.current
     }
 
     /// Compares the newest node, and some older ones anew, with the other passes over the same places.
-    pub(super) fn update_doubts(&mut self) {
+    pub(super) fn update_reliability(&mut self) {
         let Some(newest) = self.nodes.len().checked_sub(1) else { return };
         self.stages.stage_started(Stage::Link);
-        let is_new = self.doubts.node_comparisons.len() <= newest;
-        self.doubts.node_comparisons.resize(newest + 1, None);
+        let is_new = self.reliability.node_comparisons.len() <= newest;
+        self.reliability.node_comparisons.resize(newest + 1, None);
         if is_new {
-            self.doubts.node_comparisons[newest] = self.compare_with_older(newest as u32);
+            self.reliability.node_comparisons[newest] = self.compare_with_older(newest as u32);
         }
         for _ in 0..RENEWED_NODES {
-            self.doubts.cursor = (self.doubts.cursor + 1) % (newest + 1);
-            self.doubts.node_comparisons[self.doubts.cursor] =
-                self.compare_with_older(self.doubts.cursor as u32);
+            self.reliability.cursor = (self.reliability.cursor + 1) % (newest + 1);
+            self.reliability.node_comparisons[self.reliability.cursor] =
+                self.compare_with_older(self.reliability.cursor as u32);
         }
         if newest.is_multiple_of(SUMMARY_NODES) {
-            self.sum_up_doubts();
+            self.summarize_evidence();
         }
     }
 
     /// Compares all nodes anew.
-    pub(super) fn renew_doubts(&mut self) {
-        self.doubts.node_comparisons =
+    pub(super) fn renew_reliability(&mut self) {
+        self.reliability.node_comparisons =
             (0..self.nodes.len() as u32).map(|id| self.compare_with_older(id)).collect();
-        self.sum_up_doubts();
+        self.summarize_evidence();
     }
 
-    fn sum_up_doubts(&mut self) {
-        let found = suspected_break(&self.doubts.node_comparisons);
-        if found != self.doubts.suspected_break {
-            self.doubts.suspected_break = found;
+    fn summarize_evidence(&mut self) {
+        let found = suspected_break(&self.reliability.node_comparisons);
+        if found != self.reliability.suspected_break {
+            self.reliability.suspected_break = found;
             self.update_covariances();
         }
         let unplaced = self.nodes.iter().filter(|node| !node.is_placed()).count();
-        self.doubts.current = MapDoubts {
+        self.reliability.current = ReliabilityEvidence {
             contradicted_share: contradicted_share(&self.walls_in_map()),
             odometry_residual_sigmas: odometry_residual_sigmas(&self.odometry_steps()),
-            unmeasured_motion_s: self.doubts.unmeasured_s,
-            implausible_relocalizations: self.doubts.implausible_relocalizations,
+            unmeasured_motion_s: self.reliability.unmeasured_s,
+            implausible_relocalizations: self.reliability.implausible_relocalizations,
             position_sigma_m: self.largest_position_sigma_m(),
             unplaced_share: unplaced as f32 / self.nodes.len().max(1) as f32,
             conflicting_closures: self.count_conflicting_closures(),
@@ -116,7 +116,7 @@ impl BackEnd {
                 comparison.filter(|it| is_placed(id as u32) && it.contradicts.is_none_or(is_placed))?;
             Some(comparison.walls)
         };
-        self.doubts.node_comparisons.iter().enumerate().map(in_map).collect()
+        self.reliability.node_comparisons.iter().enumerate().map(in_map).collect()
     }
 
     /// Standard deviation of the map's position that is known worst, as seen from one node of the map, metres.

@@ -60,8 +60,8 @@ fn a_corridor_without_odometry_is_in_the_map_only_where_its_place_is_known() {
     assert_eq!(said[260].0, TrackingState::Lost);
     let (error_m, known) = known_error_m(&slam, &said);
     assert!(error_m < 1.0 && known > 20 && known < 260, "{error_m} m, {known} scans");
-    let doubts = slam.back().doubts();
-    assert!(doubts.unplaced_share > 0.5 && doubts.is_unreliable(), "{doubts:?}");
+    let evidence = slam.back().reliability_evidence();
+    assert!(evidence.unplaced_share > 0.5 && evidence.is_unreliable(), "{evidence:?}");
     // A session keeps them: who loads it is told.
     let back = slam.back();
     let identity = SessionIdentity::new(1, 0, back.config());
@@ -69,7 +69,7 @@ fn a_corridor_without_odometry_is_in_the_map_only_where_its_place_is_known() {
     let session = Session::decode(&bytes, &identity).unwrap();
     let (_, loaded) =
         slam::begin(back.config().clone(), Some(session), SlamMode::Mapping, InitialPose::Unknown);
-    assert_eq!(loaded.doubts(), doubts);
+    assert_eq!(loaded.reliability_evidence(), evidence);
     assert_eq!(loaded.unplaced_component_count(), back.unplaced_component_count());
 }
 
@@ -78,7 +78,7 @@ fn with_odometry_a_corridor_is_a_map_to_rely_on() {
     let (slam, said) = drive(|_| true);
     let (error_m, known) = known_error_m(&slam, &said);
     assert!(error_m < 0.5 && known == said.len(), "{error_m} m, {known} scans");
-    assert!(!slam.back().doubts().is_unreliable(), "{:?}", slam.back().doubts());
+    assert!(!slam.back().reliability_evidence().is_unreliable(), "{:?}", slam.back().reliability_evidence());
 }
 
 #[test]
