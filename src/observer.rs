@@ -203,8 +203,11 @@ impl Observer {
         for (watch, reasons) in seen {
             let stem = dir.join(&watch.name);
             let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
-            match map_file::write_map_with_reasons(&stem, DenseMap::default().update(watch.reader.map()), &reasons)
-            {
+            match map_file::write_map_with_reasons(
+                &stem,
+                DenseMap::default().update(watch.reader.map()),
+                &reasons,
+            ) {
                 Ok(()) => written.push(stem),
                 Err(why) => errors.push(why),
             }

@@ -11,7 +11,8 @@ use msg::{Odometry, Scan};
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 use slam::{
-    BackEnd, EdgeKind, FrontEnd, ReliabilityEvidence, MapFrameUpdate, Node, ScanResult, Slam, Stage, StageObserver,
+    BackEnd, EdgeKind, FrontEnd, MapFrameUpdate, Node, ReliabilityEvidence, ScanResult, Slam, Stage,
+    StageObserver,
 };
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};

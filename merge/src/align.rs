@@ -11,11 +11,11 @@
 mod contradicted;
 mod distance_field;
 mod null;
-mod short_walls;
 mod points;
 mod refine;
 mod refusal;
 mod repeated;
+mod short_walls;
 mod spectrum;
 mod translation;
 mod wall_match;
@@ -31,11 +31,11 @@ use crate::config::{AlignConfig, WallConfig};
 use crate::limits::{RESOLUTION_M, is_plausible};
 use msg::grid_agreement::{GridAgreement, compare_grids};
 use msg::{AlignmentRefusal, GridView, Pose2, pose::wrap_angle};
-use short_walls::{ShortWallMatch, ShortWalls, match_short_walls};
 use refine::{COARSE_KERNELS_M, FINE_KERNELS_M};
 use refusal::refusal_of;
 use repeated::repeated_places;
 use serde::{Deserialize, Serialize};
+use short_walls::{ShortWallMatch, ShortWalls, match_short_walls};
 use translation::{COARSE_CELL_M, CoarseCandidate, TranslationSearch};
 
 /// Rotations tried, each with half a turn more.
@@ -169,7 +169,8 @@ struct RefinedCandidate {
 impl RefinedCandidate {
     /// Whether neither all walls nor short walls alone contradict it.
     fn is_possible(&self, config: &AlignConfig) -> bool {
-        self.fine.conflict() <= config.conflict_max && self.short_walls.conflict() <= config.short_wall_conflict_max
+        self.fine.conflict() <= config.conflict_max
+            && self.short_walls.conflict() <= config.short_wall_conflict_max
     }
 }
 
@@ -186,7 +187,10 @@ impl<'a> CandidateVerifier<'a> {
 
     /// Compares the short walls, and adds them to the long ones.
     fn compare_short_walls(&self, fine: WallMatch) -> RefinedCandidate {
-        RefinedCandidate { fine, short_walls: match_short_walls(self.fields, self.short_walls.each_ref(), fine.a_from_b) }
+        RefinedCandidate {
+            fine,
+            short_walls: match_short_walls(self.fields, self.short_walls.each_ref(), fine.a_from_b),
+        }
     }
 
     /// Returns the best place with its margins over all others.
@@ -202,7 +206,8 @@ impl<'a> CandidateVerifier<'a> {
         let repeated = repeated_places(self.fields, &self.short_walls[1], best.fine.a_from_b);
         let rivals =
             places.iter().chain(&repeated).filter(is_other).map(|other| self.compare_short_walls(*other));
-        let short_walls_m = rivals.filter(|rival| rival.is_possible(config)).map(|rival| rival.short_walls.matched_m);
+        let short_walls_m =
+            rivals.filter(|rival| rival.is_possible(config)).map(|rival| rival.short_walls.matched_m);
         let short_walls = best.short_walls.matched_m / short_walls_m.fold(RIVAL_SHORT_WALLS_MIN_M, f64::max);
         Some((best, Margins { score, short_walls }))
     }

@@ -9,7 +9,6 @@
 mod append;
 mod component_search;
 mod components;
-mod reliability;
 mod lifelong;
 mod links;
 mod localization_state;
@@ -17,6 +16,7 @@ mod loop_closures;
 mod modes;
 mod node_numbers;
 mod odometry_noise;
+mod reliability;
 mod retracted;
 mod state;
 #[cfg(test)]
@@ -24,9 +24,9 @@ mod testing;
 mod uncertain_components;
 mod undo;
 
-pub use reliability::ReliabilityMonitor;
 pub use loop_closures::RejectedClosure;
 pub use modes::{InitialPose, PlaceInMap};
+pub use reliability::ReliabilityMonitor;
 pub use state::BackEndState;
 pub use undo::ClosureReport;
 

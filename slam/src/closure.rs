@@ -14,6 +14,7 @@ mod passes;
 mod tests;
 
 pub use candidate::{ClosureCandidate, ClosureDetectorState, ClosureSearchCounts};
+use passes::nearest_scans;
 pub(crate) use passes::{GraphView, PosedNode, compare_passes};
 
 use crate::align::{Reference, ScanAlignment, align};
@@ -22,7 +23,7 @@ use crate::config::SlamConfig;
 use crate::graph::{Graph, RelativeUncertainty};
 use crate::likelihood_field::{LikelihoodField, SearchBuffers, SearchLimits, SearchPeak, SearchWindow};
 use error_model::ErrorModel;
-use msg::{Pose2, pose::wrap_angle};
+use msg::pose::wrap_angle;
 use std::collections::VecDeque;
 
 /// Candidates that wait for confirmation; beyond them the oldest is dropped.
@@ -31,7 +32,7 @@ const PENDING_MAX: usize = 64;
 const PENDING_NODES: u32 = 40;
 /// Half side of the field that is searched, metres: the chain of nodes around a candidate and its view.
 const REACH_M: f32 = 20.0;
-/// Scans of each pass that are aligned and compared: the nearest ones; more add time and no certainty.
+/// Scans of the query that are compared with those of the other pass: the newest ones; more add time and no certainty.
 pub(crate) const COMPARED_SCANS: usize = 6;
 /// Least number of nodes before the newest that are searched for with it.
 const QUERY_NODES_MIN: u32 = 5;
@@ -352,10 +353,7 @@ impl ClosureDetector {
         peak: SearchPeak,
     ) -> Option<ScanAlignment> {
         let c = &self.config.closures;
-        let mut near: Vec<&PosedNode<'_>> = chain.iter().collect();
-        let away = |p: &Pose2| p.distance_m(peak.pose) + wrap_angle(p.yaw_rad - peak.pose.yaw_rad).abs();
-        near.sort_by(|a, b| away(&a.1).total_cmp(&away(&b.1)).then(a.0.id.cmp(&b.0.id)));
-        near.truncate(COMPARED_SCANS);
+        let near = nearest_scans(chain, query, peak.pose);
         let references = near.iter().map(|(n, pose)| Reference { cloud: &n.cloud, frame_from_cloud: *pose });
         let merged = Cloud::merged(
             query.iter().map(|(n, pose)| (&*n.cloud, *pose)),

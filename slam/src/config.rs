@@ -223,8 +223,9 @@ pub struct ClosureConfig {
     pub query_points_max: usize,
     /// Least mean field value under the query's points, 0 to 1.
     pub response_min: f32,
-    /// A second, different pose must score below this share of the best one, 0 to 1; else the place
-    /// is ambiguous.
+    /// A second, different pose must score below this share of the best one, 0 to 1; else the place is ambiguous.
+    ///
+    /// 0.84 leaves fewer wrong closures on generated logs, but opens loops of intel at 90°.
     pub ambiguity_ratio_max: f32,
     /// Least share of compared points that do not contradict what the other scans saw through, 0 to
     /// 1.

@@ -9,7 +9,7 @@ use crate::settings::slam_config;
 use msg::{Header, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
-use slam::{BackEnd, EdgeKind, FrontEnd, ReliabilityEvidence, PlaceInMap, Slam};
+use slam::{BackEnd, EdgeKind, FrontEnd, PlaceInMap, ReliabilityEvidence, Slam};
 use std::path::Path;
 
 /// An error that people call a wrong map, metres.
@@ -207,7 +207,8 @@ impl Outcome {
             }
         }
         back.finish();
-        (self.evidence, self.is_unreliable) = (back.reliability_evidence(), back.reliability_evidence().is_unreliable());
+        (self.evidence, self.is_unreliable) =
+            (back.reliability_evidence(), back.reliability_evidence().is_unreliable());
         self.nees = median(nees);
     }
 

@@ -4,8 +4,8 @@
 //! propose the true one. So the map is moved until one of its matched objects takes the place of another.
 
 use super::distance_field::DistanceField;
-use super::short_walls::ShortWalls;
 use super::refine::COARSE_KERNELS_M;
+use super::short_walls::ShortWalls;
 use super::{WallMatch, is_same_place, match_walls, refine, strides, wall_proximity};
 use core::f64::consts::PI;
 use msg::Pose2;

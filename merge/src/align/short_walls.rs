@@ -115,7 +115,8 @@ pub(crate) fn match_short_walls(
     [of_a, of_b]: [&ShortWalls; 2],
     a_from_b: Pose2,
 ) -> ShortWallMatch {
-    let (b_on_a, a_on_b) = (a.match_short_walls_of(of_b, a_from_b), b.match_short_walls_of(of_a, a_from_b.inverse()));
+    let (b_on_a, a_on_b) =
+        (a.match_short_walls_of(of_b, a_from_b), b.match_short_walls_of(of_a, a_from_b.inverse()));
     ShortWallMatch {
         matched_m: a_on_b.matched_m + b_on_a.matched_m,
         contradicted_m: a_on_b.contradicted_m + b_on_a.contradicted_m,

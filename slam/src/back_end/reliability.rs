@@ -2,11 +2,11 @@
 //! others; the search for these looks at the pose of each node of the map.
 
 use super::BackEnd;
+use crate::node::Node;
 use crate::reliability::{
-    ReliabilityEvidence, NodeComparison, OdometryStep, SuspectedBreak, WallAgreement, contradicted_share,
+    NodeComparison, OdometryStep, ReliabilityEvidence, SuspectedBreak, WallAgreement, contradicted_share,
     odometry_residual_sigmas, suspected_break,
 };
-use crate::node::Node;
 use crate::stages::Stage;
 use serde::{Deserialize, Serialize};
 

@@ -232,7 +232,11 @@ mod tests {
         let mut back = long_path();
         back.add_closures(&[closure(0, 14.7)]);
         back.renew_reliability();
-        assert!(!back.reliability_evidence().is_unreliable(), "one alone may be wrong: {:?}", back.reliability_evidence());
+        assert!(
+            !back.reliability_evidence().is_unreliable(),
+            "one alone may be wrong: {:?}",
+            back.reliability_evidence()
+        );
         back.add_closures(&[closure(1, 14.7)]);
         back.renew_reliability();
         assert_eq!((back.counts().closures, back.reliability_evidence().conflicting_closures), (0, 2));

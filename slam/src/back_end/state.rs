@@ -1,6 +1,6 @@
 //! State of the back end, kept in a session.
 
-use super::{BackEnd, ReliabilityMonitor, RejectedClosure};
+use super::{BackEnd, RejectedClosure, ReliabilityMonitor};
 use crate::closure::ClosureDetectorState;
 use crate::graph::Edge;
 use crate::node::Node;

@@ -4,7 +4,11 @@ use super::{COMPARED_SCANS, ClosureDetector};
 use crate::cloud::Agreement;
 use crate::graph::Graph;
 use crate::node::Node;
-use msg::Pose2;
+use msg::{Pose2, pose::wrap_angle};
+
+/// Scans of the older pass that the query is aligned and compared with. In six of 90° and 3.5 m less than half of the query's surfaces
+/// are found, and right closures are refused: on the generated seeds 0..144, 931 right ones are part of the graph with 12, and 752 with six.
+const ALIGNED_SCANS: usize = 12;
 
 /// A node and its pose in another node's frame.
 pub(crate) type PosedNode<'a> = (&'a Node, Pose2);
@@ -80,4 +84,48 @@ pub(crate) fn compare_passes<'a>(
         }
     }
     agreement
+}
+
+/// Chooses the [`ALIGNED_SCANS`] of a chain that were taken nearest to scans of the query, of any of them: where the view is narrow,
+/// those around the newest one alone do not see what the whole query saw.
+pub(super) fn nearest_scans<'a, 'b>(
+    chain: &'b [PosedNode<'a>],
+    query: &[PosedNode<'_>],
+    chain_from_query: Pose2,
+) -> Vec<&'b PosedNode<'a>> {
+    let seen_from: Vec<Pose2> =
+        query.iter().map(|(_, query_from_node)| chain_from_query * *query_from_node).collect();
+    let distance = |pose: Pose2| {
+        let to = |other: &Pose2| pose.distance_m(*other) + wrap_angle(pose.yaw_rad - other.yaw_rad).abs();
+        seen_from.iter().map(to).fold(f64::INFINITY, f64::min)
+    };
+    let mut near: Vec<(f64, &PosedNode<'_>)> = chain.iter().map(|posed| (distance(posed.1), posed)).collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.0.id.cmp(&b.1.0.id)));
+    near.into_iter().take(ALIGNED_SCANS).map(|(_, posed)| posed).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::common::{NARROW, Noise, cast, rectangle};
+    use crate::config::SlamConfig;
+    use crate::testing::standing_node;
+    use msg::Stamp;
+
+    #[test]
+    fn a_query_is_aligned_with_scans_around_each_of_its_own_and_not_around_its_newest_alone() {
+        // A path along a room, twice: the query is its middle the second time, in the frame of its newest scan.
+        let pose = |k: usize| Pose2::new(0.4 * k as f64, 0.0, 0.0);
+        let scan = cast(&rectangle(-1.0, -1.0, 12.0, 1.0), &NARROW, pose(0), Stamp(0), &mut Noise::new(1));
+        let node = |k: usize| standing_node(k as u32, &scan, pose(k), &SlamConfig::default().lidar);
+        let nodes: Vec<Node> = (0..24).map(node).collect();
+        let seen_from =
+            |from: usize| nodes.iter().enumerate().map(move |(k, node)| (node, pose(from).between(pose(k))));
+        let chain: Vec<PosedNode<'_>> = seen_from(0).collect();
+        let query: Vec<PosedNode<'_>> = seen_from(17).skip(6).take(12).collect();
+        let mut chosen: Vec<u32> =
+            nearest_scans(&chain, &query, pose(17)).iter().map(|(node, _)| node.id).collect();
+        chosen.sort_unstable();
+        assert_eq!(chosen, (6..18).collect::<Vec<u32>>());
+    }
 }

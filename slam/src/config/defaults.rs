@@ -125,7 +125,7 @@ impl Default for ClosureConfig {
             query_nodes: 16,
             query_points_max: 350,
             response_min: 0.5,
-            ambiguity_ratio_max: 0.9,
+            ambiguity_ratio_max: 0.885,
             agreement_min: 0.9,
             overlap_min: 0.5,
             confirmations_min: 2,

@@ -264,8 +264,9 @@ impl Merged {
     /// Reasons why the merged map is unreliable: those of the robots whose maps are in it, and of pairs that contradict each other.
     fn unreliable_reasons(&self, robots: &[Robot<'_>]) -> Vec<String> {
         let merged = robots.iter().filter(|robot| self.fleet.map_from_robot_map(robot.id).is_some());
-        let reasons = merged
-            .flat_map(|robot| robot.back.reliability_evidence().reasons().map(|reason| format!("{}: {reason}", robot.id)));
+        let reasons = merged.flat_map(|robot| {
+            robot.back.reliability_evidence().reasons().map(|reason| format!("{}: {reason}", robot.id))
+        });
         reasons.chain(telemetry::contradictions(&self.edges())).collect()
     }
 
