@@ -27,10 +27,11 @@ pub(crate) use points::MapPoints;
 pub(crate) use refine::{refine, wall_information, wall_proximity};
 pub(crate) use wall_match::{WallMatch, match_walls};
 
-use crate::config::{AlignConfig, WallConfig};
+use crate::config::AlignConfig;
 use crate::limits::{RESOLUTION_M, is_plausible};
-use msg::grid_agreement::{GridAgreement, compare_grids};
+use msg::grid_agreement::GridAgreement;
 use msg::{AlignmentRefusal, GridView, Pose2, pose::wrap_angle};
+use null::compare_cells;
 use refine::{COARSE_KERNELS_M, FINE_KERNELS_M};
 use refusal::refusal_of;
 use repeated::repeated_places;
@@ -355,11 +356,6 @@ fn refine_finely(fields: [&DistanceField; 2], coarse: &WallMatch) -> WallMatch {
 
 fn is_same_place(x: Pose2, y: Pose2) -> bool {
     x.distance_m(y) < SAME_PLACE_M && wrap_angle(x.yaw_rad - y.yaw_rad).abs() < SAME_PLACE_RAD
-}
-
-/// Compares two grids cell by cell; all zero if they have no cell in common.
-fn compare_cells(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, config: &WallConfig) -> GridAgreement {
-    compare_grids(a, b, a_from_b, config.tolerance_m).unwrap_or_default()
 }
 
 /// Compares the evidence with the thresholds.

@@ -1,10 +1,10 @@
 //! Null distribution of an alignment, the agreement of the same two maps under wrong transforms.
 
-use super::compare_cells;
 use super::points::MapPoints;
 use super::translation::COARSE_CELL_M;
 use crate::config::WallConfig;
 use core::f64::consts::TAU;
+use msg::grid_agreement::{GridAgreement, compare_grids};
 use msg::{GridView, Pose2};
 
 /// Wrong transforms of which the largest F1 counts.
@@ -48,4 +48,14 @@ pub(crate) fn max_null_f1(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, con
         }
     }
     largest
+}
+
+/// Compares two grids cell by cell; all zero if they have no cell in common.
+pub(super) fn compare_cells(
+    a: GridView<'_>,
+    b: GridView<'_>,
+    a_from_b: Pose2,
+    config: &WallConfig,
+) -> GridAgreement {
+    compare_grids(a, b, a_from_b, config.tolerance_m).unwrap_or_default()
 }

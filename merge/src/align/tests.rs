@@ -220,7 +220,7 @@ fn finer(map: &Grid) -> Grid {
 fn walls_match_and_contradict_at_the_same_distances_whatever_the_resolution() {
     let coarse = map(house, -160, 160);
     let fine = finer(&coarse);
-    let config = WallConfig::default();
+    let config = crate::config::WallConfig::default();
     let shares = |grid: &Grid, shift_m: f64| {
         let field =
             || DistanceField::new(MapPoints::from_grid(grid.view(), COARSE_CELL_M), grid.view(), &config);
