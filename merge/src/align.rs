@@ -80,7 +80,7 @@ pub struct Alignment {
     pub refusal: Option<AlignmentRefusal>,
     /// Occupied cells that the other map has too, of both maps together.
     pub inliers: u32,
-    /// F1 of occupied cells at the tolerance of [`WallConfig::tolerance_m`], 0 to 1.
+    /// F1 of occupied cells at the tolerance of [`tolerance_m`](crate::config::WallConfig::tolerance_m), 0 to 1.
     pub occupied_f1: f64,
     /// Share of the cells known to both maps on which they agree, 0 to 1.
     pub agreement: f64,
