@@ -225,7 +225,7 @@ pub struct ClosureConfig {
     pub response_min: f32,
     /// A second, different pose must score below this share of the best one, 0 to 1; else the place is ambiguous.
     ///
-    /// 0.84 leaves fewer wrong closures on generated logs, but opens loops of intel at 90°.
+    /// 0.84 leaves fewer wrong closures on generated logs, but loops of intel at 90° stay open.
     pub ambiguity_ratio_max: f32,
     /// Least share of compared points that do not contradict what the other scans saw through, 0 to
     /// 1.

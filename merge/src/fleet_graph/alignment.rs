@@ -146,7 +146,7 @@ fn near_start(submaps: &SubmapStore) -> Vec<PlacedSubmap> {
 fn is_due(index: usize, pair: &RobotPair, robots: &[Robot]) -> bool {
     let [a, b] = robots_of_pair(index).map(|robot| &robots[robot]);
     let in_one_graph = a.estimate.map_from_robot_map().is_some() && b.estimate.map_from_robot_map().is_some();
-    // Given starts are verified until the maps have confirmed them.
+    // Given starts are checked until the maps have confirmed them.
     let by_starts = a_from_b_of_starts(a, b).is_some() && !pair.starts.are_confirmed();
     let nodes = [a, b].map(|robot| robot.submaps.node_count());
     let schedule = &pair.schedule;

@@ -214,19 +214,19 @@ fn check_back_end(back: &BackEndState) -> Result {
     check_counters(counts)
 }
 
-fn check_reliability(evidence: &ReliabilityMonitor, nodes: usize) -> Result {
-    check_count(evidence.node_comparisons.len(), nodes, "nodes compared with others")?;
+fn check_reliability(monitor: &ReliabilityMonitor, nodes: usize) -> Result {
+    check_count(monitor.node_comparisons.len(), nodes, "nodes compared with others")?;
     let points = |comparison: &NodeComparison| {
         let WallAgreement { agree, contradict } = comparison.walls;
         [agree, contradict].iter().all(|points| *points <= COMPARED_POINTS_MAX)
     };
-    check(evidence.node_comparisons.iter().flatten().all(points), "number of compared points")?;
+    check(monitor.node_comparisons.iter().flatten().all(points), "number of compared points")?;
     let is_break_valid =
-        evidence.suspected_break.is_none_or(|at| at.before < at.after && (at.after as usize) < nodes);
+        monitor.suspected_break.is_none_or(|at| at.before < at.after && (at.after as usize) < nodes);
     check(is_break_valid, "place where the path is wrong")?;
-    check(evidence.cursor <= nodes, "node compared anew")?;
-    check(evidence.implausible_relocalizations <= NUMBER_MAX, "number of implausible relocalizations")?;
-    check((0.0..=UNMEASURED_S_MAX).contains(&evidence.unmeasured_s), "time without a measured motion")?;
+    check(monitor.cursor <= nodes, "node compared anew")?;
+    check(monitor.implausible_relocalizations <= NUMBER_MAX, "number of implausible relocalizations")?;
+    check((0.0..=UNMEASURED_S_MAX).contains(&monitor.unmeasured_s), "time without a measured motion")?;
     let ReliabilityEvidence {
         contradicted_share,
         odometry_residual_sigmas,
@@ -235,7 +235,7 @@ fn check_reliability(evidence: &ReliabilityMonitor, nodes: usize) -> Result {
         position_sigma_m,
         unplaced_share,
         conflicting_closures,
-    } = evidence.current;
+    } = monitor.current;
     check((0.0..=1.0).contains(&contradicted_share), "share of contradicted points")?;
     check((0.0..=1.0).contains(&unplaced_share), "share of nodes that are not placed")?;
     check((0.0..=RESIDUAL_SIGMAS_MAX).contains(&odometry_residual_sigmas), "difference from odometry")?;
