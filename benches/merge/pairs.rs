@@ -5,7 +5,8 @@ use super::table::{Row, Table};
 use formats::map_file::read_map;
 use merge::{AlignConfig, Alignment, align};
 use msg::grid::{Occupancy, occupancy};
-use msg::{Grid, Pose2, pose::wrap_angle};
+use msg::pose::{best_rigid_transform, wrap_angle};
+use msg::{Grid, Pose2};
 use serde::Deserialize;
 use std::fmt::Write;
 use std::path::Path;
@@ -138,26 +139,17 @@ fn is_wall_near(map: &Grid, at: [f64; 2]) -> bool {
 }
 
 /// Error of an estimate: RMS displacement of walls, metres, and rotation, degrees; `None` without walls. The rotation is
-/// relative to the one that fits the walls best (Umeyama, "Least-squares estimation of transformation parameters between two point
-/// patterns", PAMI 1991).
+/// relative to the one that fits the walls best.
 fn displacement(walls: &[Wall], estimate: Pose2) -> Option<[f64; 2]> {
     let count = walls.len() as f64;
-    let middle = |of: fn(&Wall) -> [f64; 2]| {
-        walls.iter().map(of).fold([0.0; 2], |sum, at| [sum[0] + at[0] / count, sum[1] + at[1] / count])
-    };
-    let (here, there) = (middle(|wall| wall.0), middle(|wall| wall.1));
-    let (mut sum, mut dot, mut cross) = (0.0, 0.0, 0.0);
-    for (at, truly) in walls {
+    let squared_m2 = |(at, truly): &Wall| {
         let placed = estimate.apply(*at);
-        sum += (truly[0] - placed[0]).powi(2) + (truly[1] - placed[1]).powi(2);
-        let ([x, y], [u, v]) =
-            ([at[0] - here[0], at[1] - here[1]], [truly[0] - there[0], truly[1] - there[1]]);
-        dot += x * u + y * v;
-        cross += x * v - y * u;
-    }
-    let rms_m = (sum / count).sqrt();
-    let turned = wrap_angle(estimate.yaw_rad - f64::atan2(cross, dot)).abs();
-    (!walls.is_empty()).then(|| [rms_m, turned.to_degrees()])
+        (truly[0] - placed[0]).powi(2) + (truly[1] - placed[1]).powi(2)
+    };
+    let rms_m = (walls.iter().map(squared_m2).sum::<f64>() / count).sqrt();
+    let pairs: Vec<_> = walls.iter().map(|(at, truly)| [*at, *truly]).collect();
+    let best = best_rigid_transform(&pairs)?;
+    Some([rms_m, wrap_angle(estimate.yaw_rad - best.yaw_rad).abs().to_degrees()])
 }
 
 /// Adds the figures of the pairs as they are.

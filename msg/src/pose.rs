@@ -87,6 +87,37 @@ impl Mul for Pose2 {
     }
 }
 
+/// Returns the rigid transform that puts points nearest to others, by the sum of squared distances (Umeyama, "Least-squares
+/// estimation of transformation parameters between two point patterns", IEEE PAMI 1991, without scale); `None` without points.
+/// Each pair is a point in `b` and the same point in `a`, [x, y] in metres; the transform is `a_from_b`.
+///
+/// ```
+/// use msg::Pose2;
+///
+/// let a_from_b = Pose2::new(3.0, -1.0, 0.5);
+/// let points_b = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0]];
+/// let pairs = points_b.map(|point_b| [point_b, a_from_b.apply(point_b)]);
+/// let found = msg::pose::best_rigid_transform(&pairs).unwrap();
+/// assert!(found.distance_m(a_from_b) < 1e-9 && (found.yaw_rad - 0.5).abs() < 1e-9);
+/// ```
+pub fn best_rigid_transform(pairs: &[[[f64; 2]; 2]]) -> Option<Pose2> {
+    let count = pairs.len() as f64;
+    let mean = |which: usize| {
+        let sum = pairs.iter().fold([0.0; 2], |[x, y], pair| [x + pair[which][0], y + pair[which][1]]);
+        sum.map(|sum| sum / count)
+    };
+    let (mean_b, mean_a) = (mean(0), mean(1));
+    let (mut dot, mut cross) = (0.0, 0.0);
+    for [b, a] in pairs {
+        let (b, a) = ([b[0] - mean_b[0], b[1] - mean_b[1]], [a[0] - mean_a[0], a[1] - mean_a[1]]);
+        dot += b[0] * a[0] + b[1] * a[1];
+        cross += b[0] * a[1] - b[1] * a[0];
+    }
+    let rotation = Pose2::new(0.0, 0.0, f64::atan2(cross, dot));
+    let [x, y] = rotation.apply(mean_b);
+    (!pairs.is_empty()).then(|| Pose2::new(mean_a[0] - x, mean_a[1] - y, rotation.yaw_rad))
+}
+
 /// Returns the heading of a unit quaternion x, y, z, w, radians; of one that is not about z, that of its projection on the floor.
 pub fn yaw_of_quaternion([x, y, z, w]: [f64; 4]) -> f64 {
     (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))

@@ -19,6 +19,8 @@ const FRAMES_MAX: usize = 4096;
 const POSES_MAX: usize = 50_000_000;
 /// Longest time between a scan and the odometry before or after it, seconds.
 const GAP_MAX_S: f64 = 0.5;
+/// Name of a robot's topic with its true poses.
+const TRUTH: &str = "ground_truth";
 /// Fewest beams of a scan.
 const BEAMS_MIN: usize = 2;
 
@@ -35,6 +37,8 @@ pub struct BagOptions {
     pub base_from_scan: Option<Pose2>,
     /// Scans are used without odometry.
     pub without_odometry: bool,
+    /// Topic of the true poses, of type nav_msgs/Odometry.
+    pub truth_topic: Option<String>,
 }
 
 /// A scan with the odometry at its time.
@@ -44,6 +48,8 @@ pub struct BagScan {
     pub stamp: Stamp,
     /// Pose of the base in the odometry's frame.
     pub odom_from_base: Pose2,
+    /// True pose of the base; `None`: the bag does not have it.
+    pub world_from_base: Option<Pose2>,
     /// Angle of the first beam, radians.
     pub angle_min_rad: f64,
     /// Angle between neighbouring beams, radians.
@@ -97,6 +103,14 @@ pub enum BagError {
     NoOdometry {
         /// Topic of the scans.
         scan_topic: String,
+        /// Topics with odometry.
+        topics: Vec<String>,
+    },
+    /// The topic that was named has no true poses.
+    #[error("the bag has no nav_msgs/Odometry on {wished}; it has it on {}; name one with --truth-topic", list(.topics))]
+    NoTruth {
+        /// Topic that was named.
+        wished: String,
         /// Topics with odometry.
         topics: Vec<String>,
     },
@@ -216,6 +230,7 @@ impl Found {
         let mut scans = self.scans.remove(&scan_topic).unwrap_or_default();
         scans.sort_by_key(|raw| raw.scan.stamp);
         let scan_frame = scans.first().map_or(String::new(), |raw| frame(&raw.frame));
+        let truth = self.truth(&scan_topic, options)?;
         let odometry = if options.without_odometry { None } else { Some(self.poses(&scan_topic, options)?) };
         let base_frame = odometry.as_ref().map_or(String::new(), |poses| frame(&poses.base_frame));
         let base_from_scan = match options.base_from_scan {
@@ -238,7 +253,10 @@ impl Found {
                 Some(poses) => pose_at(&poses.poses, scan.stamp),
             };
             match pose {
-                Some(odom_from_base) => bag.scans.push(BagScan { odom_from_base, ..scan }),
+                Some(odom_from_base) => {
+                    let world_from_base = pose_at(&truth, scan.stamp);
+                    bag.scans.push(BagScan { odom_from_base, world_from_base, ..scan });
+                }
                 None => bag.without_odometry += 1,
             }
         }
@@ -256,6 +274,26 @@ impl Found {
             Some(_) => Err(no_scan()),
             None if self.scans.len() > 1 => Err(BagError::SeveralScans(self.scans.keys().cloned().collect())),
             None => self.scans.keys().next().cloned().ok_or_else(no_scan),
+        }
+    }
+
+    /// Takes the true poses: of the named topic, else of `ground_truth` in the scans' namespace, if there is one. They are no
+    /// odometry.
+    fn truth(&mut self, scan_topic: &str, options: &BagOptions) -> Result<Vec<(Stamp, Pose2)>, BagError> {
+        let namespace = scan_topic.rsplit_once('/').map_or("", |(namespace, _)| namespace);
+        let topic = options.truth_topic.clone().unwrap_or_else(|| format!("{namespace}/{TRUTH}"));
+        let is_odometry = options.odometry_topic.as_ref() == Some(&topic);
+        let found = if is_odometry { None } else { self.odometry.remove(&topic) };
+        match (found, &options.truth_topic) {
+            (Some(Poses { mut poses, .. }), _) => {
+                poses.sort_by_key(|(stamp, _)| *stamp);
+                Ok(poses)
+            }
+            (None, None) => Ok(Vec::new()),
+            (None, Some(wished)) => Err(BagError::NoTruth {
+                wished: wished.clone(),
+                topics: self.odometry.keys().cloned().collect(),
+            }),
         }
     }
 
@@ -330,6 +368,7 @@ fn checked(scan: &Scan) -> Option<BagScan> {
     is_scan.then(|| BagScan {
         stamp: scan.header.stamp,
         odom_from_base: Pose2::new(0.0, 0.0, 0.0),
+        world_from_base: None,
         angle_min_rad: first,
         angle_increment_rad: step,
         range_max_m,

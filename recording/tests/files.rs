@@ -161,6 +161,32 @@ fn odometry_is_taken_at_the_time_of_each_scan() {
     assert!((pose.x_m - 0.025).abs() < 1e-9 && (pose.yaw_rad - 0.1).abs() < 1e-9, "{pose:?}");
 }
 
+/// A recording of one robot whose odometry is 1 % too long, with its true poses.
+fn bag_with_truth() -> Vec<u8> {
+    let mut messages = Vec::new();
+    for step in 0..40 {
+        let (at, x) = (step * SECOND / 20, step as f64 * 0.01);
+        messages.push(("/robot1/odom", RosOdometry::TYPE, at, payload(&odometry(at, 1.01 * x, 0.0))));
+        messages.push(("/robot1/ground_truth", RosOdometry::TYPE, at, payload(&odometry(at, 5.0 + x, 0.0))));
+    }
+    messages.push(("/robot1/scan", LaserScan::TYPE, SECOND, payload(&scan(SECOND + SECOND / 40))));
+    file(&messages)
+}
+
+#[test]
+fn true_poses_are_beside_the_odometry_and_never_instead_of_it() {
+    let scanner = || BagOptions { base_from_scan: Some(Pose2::IDENTITY), ..BagOptions::default() };
+    let of = |options: BagOptions| read(&bag_with_truth(), &options).map(|bag| bag.scans[0].clone());
+    let found = of(scanner()).unwrap();
+    assert!(found.odom_from_base.distance_m(Pose2::new(1.01 * 0.205, 0.0, 0.0)) < 1e-9, "{found:?}");
+    assert!(found.world_from_base.unwrap().distance_m(Pose2::new(5.205, 0.0, 0.0)) < 1e-9, "{found:?}");
+    // With the true poses as odometry there is nothing to compare with.
+    let named = of(BagOptions { odometry_topic: Some("/robot1/ground_truth".into()), ..scanner() }).unwrap();
+    assert_eq!(named.world_from_base, None);
+    let wrong = of(BagOptions { truth_topic: Some("/mocap".into()), ..scanner() }).unwrap_err().to_string();
+    assert!(wrong.contains("/mocap") && wrong.contains("/robot1/odom"), "{wrong}");
+}
+
 #[test]
 fn odometry_may_be_a_transform() {
     let mut messages = Vec::new();

@@ -13,6 +13,7 @@ mod records;
 mod serve;
 mod summary;
 mod trajectory;
+mod trajectory_error;
 
 pub use error::ReplayError;
 pub use fleet::Starts;
@@ -36,6 +37,7 @@ use std::path::PathBuf;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 use trajectory::write_trajectory;
+use trajectory_error::TrajectoryError;
 
 /// Nodes that may wait for the back end before the log waits: then no node is held back.
 const WAITING_MAX: usize = slam::NODES_IN_FLIGHT_MAX - 2;
@@ -143,20 +145,19 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     let wall_s = start.elapsed().as_secs_f64();
     replayed.summary.wall_s = Some(wall_s);
     replayed.summary.times_real_time = Some(replayed.duration_s / wall_s);
-    finish(args, replayed)
+    finish(args, replayed, log.truth())
 }
 
-fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
+fn finish(args: &ReplayArgs, replayed: Replayed, truth: &[(Stamp, Pose2)]) -> Result<(), ReplayError> {
     let Replayed { front, mut back, mut summary, localized, .. } = replayed;
+    let trajectory: Vec<(Stamp, Pose2, PlaceInMap)> = match localized {
+        Some(poses) => poses.into_iter().map(|(stamp, pose)| (stamp, pose, PlaceInMap::Known)).collect(),
+        None => back.trajectory_with_places(front.samples()).collect(),
+    };
+    summary.error = TrajectoryError::of_placed(&trajectory, truth);
     if let Some(path) = &args.trajectory {
-        let written = match localized {
-            Some(poses) => write_trajectory(
-                path,
-                poses.into_iter().map(|(stamp, pose)| (stamp, pose, PlaceInMap::Known)),
-            ),
-            None => write_trajectory(path, back.trajectory_with_places(front.samples())),
-        };
-        written.map_err(|source| ReplayError::Write { path: path.clone(), source })?;
+        write_trajectory(path, trajectory.into_iter())
+            .map_err(|source| ReplayError::Write { path: path.clone(), source })?;
     }
     if let Some(path) = &args.save_session {
         let identity = SessionIdentity::new(0, 0, back.config());

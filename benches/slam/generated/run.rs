@@ -6,6 +6,7 @@ use super::robot::{Event, OdometryKind, Robot, SENSORS, Sensor, Step, angles_rad
 use super::walls::share_in_map;
 use crate::noise::Noise;
 use crate::settings::slam_config;
+use msg::pose::best_rigid_transform;
 use msg::{Header, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
@@ -292,27 +293,11 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Returns the rigid transform that puts the poses nearest to the truth (Umeyama 1991, without scale).
+/// Returns the rigid transform that puts the poses nearest to the truth; the identity without poses.
 fn fit(poses: &[ScoredPose]) -> Pose2 {
-    let count = poses.len().max(1) as f64;
-    let mean = |of: fn(&ScoredPose) -> Pose2| {
-        let sum = poses.iter().map(of).fold([0.0; 2], |sum, at| [sum[0] + at.x_m, sum[1] + at.y_m]);
-        [sum[0] / count, sum[1] / count]
-    };
-    let (here, there) = (mean(|pose| pose.map_from_base), mean(|pose| pose.truth));
-    let (mut dot, mut cross) = (0.0, 0.0);
-    for ScoredPose { map_from_base: pose, truth, .. } in poses {
-        let (a, b) = ([pose.x_m - here[0], pose.y_m - here[1]], [truth.x_m - there[0], truth.y_m - there[1]]);
-        dot += a[0] * b[0] + a[1] * b[1];
-        cross += a[0] * b[1] - a[1] * b[0];
-    }
-    let yaw_rad = f64::atan2(cross, dot);
-    let (sin, cos) = yaw_rad.sin_cos();
-    Pose2::new(
-        there[0] - (cos * here[0] - sin * here[1]),
-        there[1] - (sin * here[0] + cos * here[1]),
-        yaw_rad,
-    )
+    let at = |pose: Pose2| [pose.x_m, pose.y_m];
+    let pairs: Vec<_> = poses.iter().map(|pose| [at(pose.map_from_base), at(pose.truth)]).collect();
+    best_rigid_transform(&pairs).unwrap_or_default()
 }
 
 /// Returns the true pose at a stamp.

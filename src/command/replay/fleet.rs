@@ -4,12 +4,13 @@
 //! submap when it would get it live. One thread: the same logs give the same maps.
 
 use super::records::{Log, Records};
+use super::trajectory_error::TrajectoryError;
 use super::{Feeder, ReplayArgs, ReplayError, Summary, trajectory::write_trajectory};
 use crate::command::output;
 use formats::carmen::LaserLine;
 use formats::map_file::write_map_with_reasons;
 use merge::{FleetPoseGraph, MergeConfig, Merger};
-use msg::{Grid, MergeEdges, Pose2, RobotId, SubmapPoses};
+use msg::{Grid, MergeEdges, Pose2, RobotId, Stamp, SubmapPoses};
 use reports::{EdgeView, edge_table};
 use serde::Serialize;
 use slam::{BackEnd, FrontEnd, Slam, SlamConfig, Submaps};
@@ -95,6 +96,7 @@ pub struct RobotSummary {
 struct Robot<'a> {
     id: RobotId,
     records: Records<'a>,
+    truth: &'a [(Stamp, Pose2)],
     next: Option<LaserLine>,
     front: FrontEnd,
     back: BackEnd,
@@ -160,7 +162,8 @@ impl<'a> Robot<'a> {
         let (front, back) = Slam::new(config.clone()).split();
         let summary = Summary { log: path.display().to_string(), ..Summary::default() };
         let (submaps, feeder) = (Submaps::new(&config), Feeder::new(args));
-        Ok(Self { id, records, next: Some(first), front, back, submaps, feeder, summary })
+        let truth = log.truth();
+        Ok(Self { id, records, truth, next: Some(first), front, back, submaps, feeder, summary })
     }
 
     /// Feeds the next scan to SLAM. Returns whether it became a node.
@@ -274,6 +277,8 @@ impl Merged {
         let edges = self.edges();
         let robots = robots.into_iter().map(|mut robot| {
             robot.summary.count(&robot.front, &robot.back);
+            let trajectory: Vec<_> = robot.back.trajectory_with_places(robot.front.samples()).collect();
+            robot.summary.error = TrajectoryError::of_placed(&trajectory, robot.truth);
             (robot.summary.malformed_lines, robot.summary.skipped_lines) =
                 (robot.records.malformed, robot.records.skipped());
             let place = self.fleet.map_from_robot_map(robot.id);

@@ -4,7 +4,7 @@ use super::{ReplayArgs, ReplayError};
 use crate::command::output;
 use formats::carmen::{LaserLine, Reader, Record};
 use formats::gzip;
-use msg::{Pose2, Scan};
+use msg::{Pose2, Scan, Stamp};
 use recording::RecordingReader;
 use recording::bag::{BagOptions, BagScan, read_bag};
 use std::fs::File;
@@ -28,6 +28,10 @@ pub struct BagArgs {
     /// Take the odometry from the transforms of this frame of a recording, such as `odom`
     #[arg(long, value_name = "FRAME", conflicts_with = "odom_topic")]
     pub odom_frame: Option<String>,
+    /// Topic of the true poses in a recording, nav_msgs/Odometry, to which the trajectory is compared [default: ground_truth in
+    /// the scans' namespace, if there is one]
+    #[arg(long, value_name = "TOPIC")]
+    pub truth_topic: Option<String>,
     /// Pose of the scanner on the robot: metres, metres, radians [default: the transforms of the recording]
     #[arg(long, value_name = "X,Y,YAW", value_parser = crate::process::pose, allow_hyphen_values = true)]
     pub scanner: Option<Pose2>,
@@ -36,7 +40,8 @@ pub struct BagArgs {
 impl BagArgs {
     /// Returns whether topics or frames are named.
     pub fn are_given(&self) -> bool {
-        self.scan_topic.is_some() || self.odom_topic.is_some() || self.odom_frame.is_some()
+        let Self { scan_topic, odom_topic, odom_frame, truth_topic, scanner: _ } = self;
+        [scan_topic, odom_topic, odom_frame, truth_topic].iter().any(|given| given.is_some())
     }
 }
 
@@ -45,12 +50,21 @@ pub fn is_recording(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
+/// Scans of a recording.
+pub struct RecordedScans {
+    lines: Vec<LaserLine>,
+    /// Stamps of the scans of which the recording has the true pose of the base, and these poses, in order of time.
+    world_from_base: Vec<(Stamp, Pose2)>,
+    /// Number of malformed messages.
+    malformed: u64,
+}
+
 /// A log that was read.
 pub enum Log {
     /// Text of a CARMEN log.
     Carmen(Vec<u8>),
-    /// Scans of a recording, and the number of malformed messages.
-    Scans(Vec<LaserLine>, u64),
+    /// Scans of a recording.
+    Recording(RecordedScans),
 }
 
 impl Log {
@@ -67,6 +81,7 @@ impl Log {
             odom_frame: args.bag.odom_frame.clone(),
             base_from_scan: args.bag.scanner,
             without_odometry: args.no_odometry,
+            truth_topic: args.bag.truth_topic.clone(),
         };
         let mut reader = RecordingReader::new(BufReader::new(File::open(path).map_err(fail)?));
         let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
@@ -88,24 +103,42 @@ impl Log {
                 without_odometry: bag.without_odometry,
             });
         }
-        let base_from_scan = bag.base_from_scan;
+        let (base_from_scan, malformed) = (bag.base_from_scan, bag.malformed);
+        let truth = bag.scans.iter().filter_map(|scan| Some((scan.stamp, scan.world_from_base?)));
+        let world_from_base = truth.collect();
         let lines = bag.scans.into_iter().map(|scan| laser_line(scan, base_from_scan)).collect();
-        Ok(Self::Scans(lines, bag.malformed))
+        Ok(Self::Recording(RecordedScans { lines, world_from_base, malformed }))
     }
 
     /// Returns the scans.
     pub fn records(&self) -> Records<'_> {
         match self {
             Self::Carmen(bytes) => Records { source: Source::Carmen(Reader::new(bytes)), malformed: 0 },
-            Self::Scans(lines, malformed) => {
-                Records { source: Source::Scans(lines.iter()), malformed: *malformed }
+            Self::Recording(scans) => {
+                Records { source: Source::Scans(scans.lines.iter()), malformed: scans.malformed }
             }
+        }
+    }
+
+    /// Returns stamps and true poses of the scans, in order of time; empty if they are not known.
+    pub fn truth(&self) -> &[(Stamp, Pose2)] {
+        match self {
+            Self::Carmen(_) => &[],
+            Self::Recording(scans) => &scans.world_from_base,
         }
     }
 }
 
 fn laser_line(scan: BagScan, base_from_scan: Pose2) -> LaserLine {
-    let BagScan { stamp, odom_from_base, angle_min_rad, angle_increment_rad, range_max_m, ranges_m } = scan;
+    let BagScan {
+        stamp,
+        odom_from_base,
+        world_from_base: _,
+        angle_min_rad,
+        angle_increment_rad,
+        range_max_m,
+        ranges_m,
+    } = scan;
     LaserLine {
         stamp,
         odom_from_base,

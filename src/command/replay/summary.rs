@@ -1,5 +1,6 @@
 //! Summary of a replay, for people and for programs.
 
+use super::trajectory_error::TrajectoryError;
 use serde::Serialize;
 use slam::{BackEnd, ClosureSearchCounts, FrontEnd, ReliabilityEvidence, RelocalizationCounts};
 use std::time::Duration;
@@ -24,6 +25,8 @@ pub struct Summary {
     pub not_located: u64,
     /// Outcomes of the searches for the robot.
     pub relocalization: RelocalizationCounts,
+    /// Error of the trajectory; `None`: the log does not have the true poses.
+    pub error: Option<TrajectoryError>,
     /// Last pose in the map: x m, y m, yaw rad.
     pub ends_at: [f64; 3],
     /// Number of malformed lines.
@@ -88,6 +91,7 @@ impl Summary {
                 s.relocalization.contradicted
             );
         }
+        text += &s.error.map_or(String::new(), |error| error.text());
         if s.unplaced_nodes > 0 {
             text += &format!(
                 "  missing   {} nodes in {} components whose place in the map is not known\n",
