@@ -55,7 +55,8 @@ pub struct ReplayArgs {
     /// Topics and frames of recordings from elsewhere.
     #[command(flatten)]
     pub bag: BagArgs,
-    /// Fleet file whose [slam] and [merge] are used [default: built-in values for recorded logs]
+    /// Fleet file whose [slam] and [merge] are used [default: those of a fleet's recording; of others, built-in values for
+    /// robots whose odometry is not known]
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Merge several logs; starts are `unknown` or `known:FILE` with lines `index time x y theta`
@@ -111,13 +112,14 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
         return Err(ReplayError::FieldOfView(fov));
     }
     let are_recordings = args.logs.iter().all(|path| is_recording(path));
-    if are_recordings
+    let recorded = if are_recordings { recorded_fleet::configuration(&args.logs[0])? } else { None };
+    // Robots that were not simulated are replayed like a recording from elsewhere: their stamps are another machine's.
+    if let Some(config) = recorded.as_ref().filter(|config| !config.world.is_external())
         && args.merge.is_none()
         && !args.bag.are_given()
-        && let Some(config) = recorded_fleet::configuration(&args.logs[0])?
     {
         options::refuse(options::OF_FLEET, args, "the replay of a fleet's recording")?;
-        return recorded_fleet::run(args, &config);
+        return recorded_fleet::run(args, config);
     }
     if args.serving.serve {
         return Err(ReplayError::NotServed);
@@ -125,8 +127,9 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     if !args.logs.iter().any(|path| is_recording(path)) {
         options::refuse(options::OF_CARMEN, args, "the replay of CARMEN logs")?;
     }
-    let (mut config, merging) = match &args.config {
-        Some(file) => FleetConfig::from_file(file).map(|config| (config.slam, config.merge))?,
+    let given = args.config.as_deref().map(FleetConfig::from_file).transpose()?;
+    let (mut config, merging) = match given.or(recorded) {
+        Some(config) => (config.slam, config.merge),
         None => (recorded_log_slam(), MergeConfig::default()),
     };
     config.odometry.used &= !args.no_odometry;

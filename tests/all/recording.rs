@@ -208,7 +208,12 @@ fn each_command_in_a_recording_says_who_sent_it() {
 fn record_from(path: &Path, seed: u64, tick: usize) {
     let mut config = config();
     config.fleet.seed = seed;
-    let mut fleet = Lockstep::new(&config, true).unwrap();
+    record(path, &config, tick);
+}
+
+/// Records some seconds of a fleet of this configuration that has driven for so many ticks.
+fn record(path: &Path, config: &FleetConfig, tick: usize) {
+    let mut fleet = Lockstep::new(config, true).unwrap();
     for _ in 0..tick {
         fleet.tick(&mut |_, _| {});
     }
@@ -243,4 +248,26 @@ fn what_a_replay_cannot_do_is_refused_or_said() {
     let (is_done, said) =
         replay(&[whole.as_os_str(), "--no-closures".as_ref(), "--skip".as_ref(), "3".as_ref()]);
     assert!(!is_done && said.contains("--no-closures, --skip: without effect"), "{said}");
+}
+
+#[test]
+fn one_robot_of_a_recording_is_mapped_as_the_recorded_fleet_was_and_compared_with_the_truth() {
+    let folder = Folder::new();
+    let path = folder.path().join("run.mcap");
+    let mut config = config();
+    config.slam.tracking.node_turn_rad = 0.05;
+    record(&path, &config, 0);
+    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/default.toml");
+    let replay = |options: &[&std::ffi::OsStr]| -> serde_json::Value {
+        let of_robot = ["--scan-topic", "/robot1/scan", "--json"];
+        let ended = output_of(mr_slam().arg("replay").arg(&path).args(of_robot).args(options));
+        assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+        serde_json::from_slice(&ended.stdout).unwrap()
+    };
+    let (own, other) = (replay(&[]), replay(&["--config".as_ref(), default.as_os_str()]));
+    let nodes = |summary: &serde_json::Value| summary["nodes"].as_u64().unwrap();
+    assert!(nodes(&own) > 2 * nodes(&other), "{own} has a node each 0.05 rad, {other} each 0.3 rad");
+    let error = &own["error"];
+    assert_eq!(error["scans"], own["scans"]);
+    assert!(error["max_m"].as_f64().unwrap() < 0.1, "{error}");
 }

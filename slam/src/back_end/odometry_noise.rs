@@ -45,13 +45,10 @@ impl MeanSquare {
         Self { sum: prior, weight: prior, memory }
     }
 
-    fn add(&mut self, chi_squared: f64) {
-        if self.weight >= self.memory {
-            let kept = 1.0 - 1.0 / self.memory;
-            (self.sum, self.weight) = (self.sum * kept, self.weight * kept);
-        }
-        self.sum += chi_squared.min(CHI_SQUARED_MAX);
-        self.weight += 1.0;
+    fn add(&mut self, chi_squared: f64, weight: f64) {
+        let kept = ((self.memory - weight) / self.weight).min(1.0);
+        self.sum = self.sum * kept + chi_squared.min(CHI_SQUARED_MAX) * weight;
+        self.weight = self.weight * kept + weight;
     }
 
     fn mean(&self) -> f64 {
@@ -81,14 +78,16 @@ impl<const N: usize> NoiseScale<N> {
         }
     }
 
-    fn observe(&mut self, error: [f64; N], variance: f64) {
+    /// Adds the error of a motion over so many nodes, of which odometry has this variance by the configuration.
+    fn observe(&mut self, error: [f64; N], variance: f64, nodes: u32) {
         let squared = |v: &[f64; N]| v.iter().map(|e| e * e).sum::<f64>() / N as f64;
-        self.single.add(squared(&error) / variance);
+        self.single.add(squared(&error) / variance, f64::from(nodes));
         self.sum.iter_mut().zip(error).for_each(|(sum, error)| *sum += error);
         self.variance += variance;
-        self.count += 1;
-        if self.count == BLOCK_NODES {
-            self.blocks.add(squared(&self.sum) / self.variance);
+        self.count += nodes;
+        if self.count >= BLOCK_NODES {
+            self.blocks
+                .add(squared(&self.sum) / self.variance, f64::from(self.count) / f64::from(BLOCK_NODES));
             (self.sum, self.variance, self.count) = ([0.0; N], 0.0, 0);
         }
     }
@@ -98,16 +97,28 @@ impl<const N: usize> NoiseScale<N> {
     }
 }
 
+/// A motion over a few nodes by odometry.
+#[derive(Clone, Copy, Debug)]
+struct OdometryMotion {
+    /// The node that it starts at, and the one that it ends at.
+    nodes: [u32; 2],
+    first_from_last: Pose2,
+    /// Variances by the configuration, m² and rad².
+    variances: [f64; 2],
+}
+
 /// How much better or worse this robot's odometry is than the configuration says.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OdometryNoise {
     distance: NoiseScale<2>,
     heading: NoiseScale<1>,
+    /// The last nodes of the motions that distances and headings were learned from: no part of the path counts twice.
+    learned_until: [u32; 2],
 }
 
 impl OdometryNoise {
     pub fn new() -> Self {
-        Self { distance: NoiseScale::new(), heading: NoiseScale::new() }
+        Self { distance: NoiseScale::new(), heading: NoiseScale::new(), learned_until: [0; 2] }
     }
 
     /// Factors of the configured standard deviations: of distances and of headings.
@@ -115,35 +126,51 @@ impl OdometryNoise {
         [self.distance.scale(), self.heading.scale()]
     }
 
-    /// Compares a motion by odometry with the same one by the scans; `sigmas` are odometry's by the configuration, metres and
-    /// radians.
-    fn observe(&mut self, odometry: Pose2, link: &Edge, sigmas: [f64; 2]) {
+    /// Compares a motion by odometry with the same one by the scans, if they determine it and it was not learned from before.
+    fn observe(&mut self, odometry: &OdometryMotion, link: &Edge) {
         let information = link.information + Matrix3::identity() * REGULARISATION;
         let Some(covariance) = information.try_inverse() else { return };
-        let error = link.a_from_b.between(odometry);
-        let [limit_m, limit_rad] = sigmas.map(|sigma| (DETERMINED_SHARE * sigma).powi(2));
+        let moved = odometry.first_from_last;
+        let error = link.a_from_b.between(moved);
+        let [first, last] = odometry.nodes;
+        let [limit_m2, limit_rad2] = odometry.variances.map(|variance| DETERMINED_SHARE.powi(2) * variance);
         let position = covariance.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigenvalues().max();
-        if position < limit_m && odometry.x_m.hypot(odometry.y_m) > DRIVEN_M {
-            self.distance.observe([error.x_m, error.y_m], sigmas[0].powi(2));
+        if first >= self.learned_until[0] && position < limit_m2 && moved.x_m.hypot(moved.y_m) > DRIVEN_M {
+            self.distance.observe([error.x_m, error.y_m], odometry.variances[0], last - first);
+            self.learned_until[0] = last;
         }
-        if covariance[(2, 2)] < limit_rad {
-            self.heading.observe([error.yaw_rad], sigmas[1].powi(2));
+        if first >= self.learned_until[1] && covariance[(2, 2)] < limit_rad2 {
+            self.heading.observe([error.yaw_rad], odometry.variances[1], last - first);
+            self.learned_until[1] = last;
         }
     }
 }
 
 impl BackEnd {
-    /// Learns from the motion to a node how good odometry is, if a link determines it as well.
+    /// Learns from the motion to a node how good odometry is: from the shortest one that a link determines as well. One
+    /// from the node before is too short where odometry is good: it errs less over 0.3 m than two scans do.
     pub(super) fn learn_odometry_noise(&mut self, id: u32) {
-        let to_here =
-            |kind: EdgeKind| move |edge: &&Edge| edge.kind == kind && edge.b == id && edge.a + 1 == id;
-        let odometry = self.graph.edges_of(id).find(to_here(EdgeKind::Odometry)).copied();
-        let link = self.graph.edges_of(id).find(to_here(EdgeKind::ScanMatch)).copied();
-        let Some((odometry, link)) = odometry.zip(link) else { return };
-        if self.nodes[id as usize].previous_from_this.is_some() {
-            let sigmas = self.configured_odometry_sigmas(odometry.a_from_b);
-            self.odometry_noise.observe(odometry.a_from_b, &link, sigmas);
+        let edge_to = |from: u32, to: u32, kind: EdgeKind| {
+            self.graph.edges_of(to).find(|e| e.kind == kind && (e.a, e.b) == (from, to)).copied()
+        };
+        let mut motion =
+            OdometryMotion { nodes: [id; 2], first_from_last: Pose2::IDENTITY, variances: [0.0; 2] };
+        let mut noise = self.odometry_noise;
+        for first in (id.saturating_sub(self.config.links.sequential as u32)..id).rev() {
+            let next = first + 1;
+            let Some(step) = edge_to(first, next, EdgeKind::Odometry) else { break };
+            if self.nodes[next as usize].previous_from_this.is_none() {
+                break;
+            }
+            motion.nodes[0] = first;
+            motion.first_from_last = step.a_from_b * motion.first_from_last;
+            let sigmas = self.configured_odometry_sigmas(step.a_from_b);
+            motion.variances = core::array::from_fn(|i| motion.variances[i] + sigmas[i].powi(2));
+            if let Some(link) = edge_to(first, id, EdgeKind::ScanMatch) {
+                noise.observe(&motion, &link);
+            }
         }
+        self.odometry_noise = noise;
     }
 
     /// Errors of odometry that repeat from node to node, as a wrong wheel radius makes them, metres and radians per metre.
@@ -167,6 +194,7 @@ impl BackEnd {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::back_end::testing::straight_path;
     use posegraph::information_from_sigmas;
 
     const SIGMAS: [f64; 2] = [0.05, 0.04];
@@ -186,7 +214,12 @@ mod tests {
                 variance: [0.0; 2],
                 response: 0.0,
             };
-            noise.observe(a_from_b * error(node), &link, SIGMAS);
+            let motion = OdometryMotion {
+                nodes: [node, node + 1],
+                first_from_last: a_from_b * error(node),
+                variances: SIGMAS.map(|sigma| sigma.powi(2)),
+            };
+            noise.observe(&motion, &link);
         }
         noise.scales()
     }
@@ -221,5 +254,44 @@ mod tests {
     #[test]
     fn scans_that_do_not_determine_the_motion_teach_nothing() {
         assert_eq!(learned(400, 0.2, alternating(0.1)), [1.0, 1.0]);
+    }
+
+    /// The scales that a back end learns on a path of exact odometry whose links span so many nodes each.
+    fn learned_on_path(link_nodes: u32, link_sigma_m: f64, link_sigma_rad: f64) -> [f64; 2] {
+        let mut back = straight_path(200, 0.3);
+        for id in 1..200 {
+            back.nodes[id as usize].previous_from_this = Some(Pose2::IDENTITY);
+            let add = |back: &mut BackEnd, from: u32, kind: EdgeKind, information: Matrix3<f64>| {
+                let moved = Pose2::new(0.3 * f64::from(id - from), 0.0, 0.0);
+                back.graph.add_edge([from, id], moved, information, kind, [0.0; 2]);
+            };
+            add(&mut back, id - 1, EdgeKind::Odometry, information_from_sigmas(0.05, 0.04));
+            if let Some(from) = id.checked_sub(link_nodes) {
+                add(
+                    &mut back,
+                    from,
+                    EdgeKind::ScanMatch,
+                    information_from_sigmas(link_sigma_m, link_sigma_rad),
+                );
+            }
+            back.learn_odometry_noise(id);
+        }
+        back.odometry_noise.scales()
+    }
+
+    #[test]
+    fn odometry_that_is_better_than_two_scans_is_learned_over_several_nodes() {
+        let configured = straight_path(1, 0.3).configured_odometry_sigmas(Pose2::new(0.3, 0.0, 0.0));
+        // Too uncertain for one motion, and certain enough for four.
+        let [sigma_m, sigma_rad] = configured.map(|sigma| 0.8 * sigma);
+        assert_eq!(learned_on_path(1, sigma_m, sigma_rad), [1.0, 1.0]);
+        for scale in learned_on_path(4, sigma_m, sigma_rad) {
+            assert!((SCALE_MIN..0.4).contains(&scale), "{scale}");
+        }
+        // Each part of the path counts once.
+        let (over_one, over_four) = (learned_on_path(1, 0.001, 0.001), learned_on_path(4, 0.001, 0.001));
+        for (one, four) in over_one.into_iter().zip(over_four) {
+            assert!((one - four).abs() < 0.02, "{one} and {four}");
+        }
     }
 }

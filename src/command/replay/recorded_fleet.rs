@@ -17,8 +17,6 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Returns the configuration of the fleet whose recording this is; `None` if it is one from elsewhere.
-///
-/// Robots that were not simulated are replayed like a recording from elsewhere: their stamps are another machine's.
 pub fn configuration(path: &Path) -> Result<Option<FleetConfig>, ReplayError> {
     let mut reader = open(path)?;
     reader.next_message().map_err(|why| bag_error(path, why))?;
@@ -27,7 +25,7 @@ pub fn configuration(path: &Path) -> Result<Option<FleetConfig>, ReplayError> {
     };
     let mut config = FleetConfig::from_text(path, text)?;
     config.recording.enabled = false;
-    Ok(Some(config).filter(|config| !config.world.is_external()))
+    Ok(Some(config))
 }
 
 fn open(path: &Path) -> Result<RecordingReader<BufReader<File>>, ReplayError> {
