@@ -19,8 +19,8 @@ const FRAMES_MAX: usize = 4096;
 const POSES_MAX: usize = 50_000_000;
 /// Longest time between a scan and the odometry before or after it, seconds.
 const GAP_MAX_S: f64 = 0.5;
-/// Name of a robot's topic with its true poses.
-const TRUTH: &str = "ground_truth";
+/// Name of a robot's topic with its true poses in the frame `world`.
+pub const GROUND_TRUTH: &str = "ground_truth";
 /// Fewest beams of a scan.
 const BEAMS_MIN: usize = 2;
 
@@ -280,8 +280,8 @@ impl Found {
     /// Takes the true poses: of the named topic, else of `ground_truth` in the scans' namespace, if there is one. They are no
     /// odometry.
     fn truth(&mut self, scan_topic: &str, options: &BagOptions) -> Result<Vec<(Stamp, Pose2)>, BagError> {
-        let namespace = scan_topic.rsplit_once('/').map_or("", |(namespace, _)| namespace);
-        let topic = options.truth_topic.clone().unwrap_or_else(|| format!("{namespace}/{TRUTH}"));
+        let in_namespace = || format!("{}/{GROUND_TRUTH}", namespace(scan_topic).unwrap_or_default());
+        let topic = options.truth_topic.clone().unwrap_or_else(in_namespace);
         let is_odometry = options.odometry_topic.as_ref() == Some(&topic);
         let found = if is_odometry { None } else { self.odometry.remove(&topic) };
         match (found, &options.truth_topic) {
@@ -301,11 +301,8 @@ impl Found {
     /// of the only topic, else a transform's.
     fn poses(&mut self, scan_topic: &str, options: &BagOptions) -> Result<Poses, BagError> {
         let topics: Vec<String> = self.odometry.keys().cloned().collect();
-        let namespace = scan_topic.rsplit_once('/').map_or("", |(namespace, _)| namespace);
-        let in_namespace: Vec<&String> = topics
-            .iter()
-            .filter(|topic| topic.rsplit_once('/').is_some_and(|(own, _)| own == namespace))
-            .collect();
+        let of_scans = Some(namespace(scan_topic).unwrap_or_default());
+        let in_namespace: Vec<&String> = topics.iter().filter(|topic| namespace(topic) == of_scans).collect();
         let named_odom = in_namespace.iter().copied().find(|topic| topic.ends_with("/odom"));
         let chosen = match (&options.odometry_topic, in_namespace.as_slice(), topics.as_slice()) {
             (Some(wished), ..) => topics.iter().find(|topic| *topic == wished),
@@ -349,6 +346,11 @@ impl Found {
         }
         None
     }
+}
+
+/// Returns what stands before the last slash of a topic's name; `None` without a slash.
+fn namespace(topic: &str) -> Option<&str> {
+    topic.rsplit_once('/').map(|(namespace, _)| namespace)
 }
 
 /// Returns a frame's name without the slash that ROS 1 began them with.

@@ -112,12 +112,12 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
         return Err(ReplayError::FieldOfView(fov));
     }
     let are_recordings = args.logs.iter().all(|path| is_recording(path));
-    let recorded = if are_recordings { recorded_fleet::configuration(&args.logs[0])? } else { None };
+    let of_fleet = args.merge.is_none() && !args.bag.are_given();
+    // A configuration of another version is no obstacle where another one is given.
+    let is_needed = are_recordings && (of_fleet || args.config.is_none());
+    let recorded = if is_needed { recorded_fleet::configuration(&args.logs[0])? } else { None };
     // Robots that were not simulated are replayed like a recording from elsewhere: their stamps are another machine's.
-    if let Some(config) = recorded.as_ref().filter(|config| !config.world.is_external())
-        && args.merge.is_none()
-        && !args.bag.are_given()
-    {
+    if let Some(config) = recorded.as_ref().filter(|config| of_fleet && !config.world.is_external()) {
         options::refuse(options::OF_FLEET, args, "the replay of a fleet's recording")?;
         return recorded_fleet::run(args, config);
     }

@@ -27,6 +27,7 @@ pub const OF_CARMEN: &[NamedOption] = &[
     ("--scan-topic", |args| args.bag.scan_topic.is_some()),
     ("--odom-topic", |args| args.bag.odom_topic.is_some()),
     ("--odom-frame", |args| args.bag.odom_frame.is_some()),
+    ("--truth-topic", |args| args.bag.truth_topic.is_some()),
 ];
 
 /// Options without effect on several logs that are merged.

@@ -10,6 +10,7 @@ use crate::run::Run;
 use ::bridge::{
     Delivery, FleetMessage, FleetPublisher, FleetTopic, OUTGOING_TOPICS, RobotTransformPolicy, TopicSink,
 };
+use ::recording::bag::GROUND_TRUTH;
 use ::recording::{Durability, RecordingWriter, TopicIndex, WriteError};
 use msg::{CommandSource, GroundTruth, Monotonic, Odometry, RobotFrame, RobotId, Stamp};
 use reports::{BridgeState, TlxEntry};
@@ -29,8 +30,6 @@ const REPEATING: [FleetTopic; 4] = [
 ];
 /// Name of a robot's topic with its odometry as the fleet has it: an angle and not a quaternion, so that replay is exact.
 pub const PLANAR_ODOMETRY: &str = "odom_2d";
-/// Name of a robot's topic with its true pose in the frame `world`.
-pub const GROUND_TRUTH: &str = "ground_truth";
 /// Name of a robot's topic with the goals that it was given.
 const NAVIGATION_COMMAND: &str = "navigation_command";
 /// Frame of the true poses.
