@@ -23,6 +23,16 @@ pub fn limit_information(information: Matrix3<f64>, floor: [f64; 2], unobserved:
     (limited + limited.transpose()) * 0.5
 }
 
+/// The same information without any of the position along an axis (direction in the plane, radians): what is left where the
+/// position along it is marginalised out (its Schur complement). The result is symmetric and has no negative eigenvalue if the
+/// matrix is so.
+pub fn information_without_axis(information: Matrix3<f64>, axis_rad: f64) -> Matrix3<f64> {
+    let axis = Vector3::new(axis_rad.cos(), axis_rad.sin(), 0.0);
+    let column = information * axis;
+    let along = axis.dot(&column);
+    if along > 0.0 { information - column * column.transpose() / along } else { information }
+}
+
 /// Information of a measured `a_from_b`, expressed for `i_from_j = i_from_a * a_from_b * b_from_j`.
 pub fn transport_information(
     information: Matrix3<f64>,
@@ -66,6 +76,18 @@ mod tests {
             let transported = transport_information(information, i_from_a, a_from_b, b_from_j);
             let there: f64 = (off.transpose() * transported * off).x;
             prop_assert!((here - there).abs() < 1e-3 * here + 1e-14, "{} {}", here, there);
+        }
+
+        /// Nothing is left along the axis, and of the rest as much as before with the position along the axis unknown.
+        #[test]
+        fn information_without_an_axis_is_what_an_unknown_position_along_it_leaves(axis_rad in -4.0..4.0_f64) {
+            let information = Matrix3::new(4.0, 1.0, 0.5, 1.0, 3.0, -0.5, 0.5, -0.5, 9.0);
+            let axis = Vector3::new(axis_rad.cos(), axis_rad.sin(), 0.0);
+            let without = information_without_axis(information, axis_rad);
+            prop_assert!((without * axis).amax() < 1e-9);
+            let unknown = axis * axis.transpose() * 1e8;
+            let covariance = information.try_inverse().unwrap() + unknown;
+            prop_assert!((covariance.try_inverse().unwrap() - without).amax() < 1e-5);
         }
 
         #[test]

@@ -47,6 +47,8 @@ mod normal_equations;
 mod solver;
 
 pub use edge::Edge;
-pub use information::{information_from_sigmas, limit_information, transport_information};
+pub use information::{
+    information_from_sigmas, information_without_axis, limit_information, transport_information,
+};
 pub use kernel::Kernel;
 pub use solver::{SolveError, SolverOptions, Summary, Termination, cost, solve};

@@ -9,7 +9,7 @@ pub(crate) use pose_covariance::{carry_covariance, turn_covariance};
 use crate::config::GraphConfig;
 use msg::Pose2;
 use nalgebra::Matrix3;
-use posegraph::{Kernel, SolveError, SolverOptions, Summary};
+use posegraph::{Kernel, SolveError, SolverOptions, Summary, information_without_axis};
 use serde::{Deserialize, Serialize};
 
 /// Information along a direction that no surface constrains, 1/m² and 1/rad²: a standard deviation of 10 m, more than
@@ -46,9 +46,11 @@ pub struct Edge {
     pub b: u32,
     /// Pose of `b` in the frame of `a`, as measured.
     pub a_from_b: Pose2,
-    /// Its inverse covariance over (x, y, yaw) in `a`.
+    /// Its inverse covariance over (x, y, yaw) in `a`, as the alignment claims it.
     #[serde(with = "crate::encoding::matrix")]
     pub information: Matrix3<f64>,
+    /// Direction in `a` along which no surface faces, radians: what is claimed along it is noise of normals.
+    pub open_axis_rad: Option<f64>,
     /// Origin of the measurement.
     pub kind: EdgeKind,
     /// Whether the edge has effect; false after it was retracted.
@@ -60,13 +62,44 @@ pub struct Edge {
 }
 
 impl Edge {
+    /// An active edge whose variance is not known yet.
+    fn scan_match(
+        [a, b]: [u32; 2],
+        a_from_b: Pose2,
+        information: Matrix3<f64>,
+        open_axis_rad: Option<f64>,
+    ) -> Self {
+        Self {
+            a,
+            b,
+            a_from_b,
+            information,
+            open_axis_rad,
+            kind: EdgeKind::ScanMatch,
+            is_active: true,
+            variance: [0.0; 2],
+            response: 0.0,
+        }
+    }
+
+    /// The inverse covariance without what is claimed along the open axis.
+    ///
+    /// The graph is solved with it, and covariances count it. Closures are judged by what is claimed: a path that claims less
+    /// admits more of them, wrong ones too.
+    pub fn measured_information(&self) -> Matrix3<f64> {
+        let unobserved = Matrix3::identity() * UNOBSERVED;
+        self.open_axis_rad.map_or(self.information, |axis_rad| {
+            information_without_axis(self.information, axis_rad) + unobserved
+        })
+    }
+
     /// The measurement alone, as it is.
     fn constraint(&self) -> posegraph::Edge {
         posegraph::Edge {
             a: self.a as usize,
             b: self.b as usize,
             a_from_b: self.a_from_b,
-            information: self.information,
+            information: self.measured_information(),
             kernel: Kernel::Quadratic,
         }
     }
@@ -201,27 +234,44 @@ impl Graph {
         self.edges_of_node.push(Vec::new());
     }
 
-    /// Adds a measurement. `drift` (metres, radians, one standard deviation) is added to its
+    /// Adds a measurement that leaves no axis open. `drift` (metres, radians, one standard deviation) is added to its
     /// uncertainty when that is propagated, see [`Graph::uncertainty_from`]; not when the graph is solved.
     pub fn add_edge(
         &mut self,
-        [a, b]: [u32; 2],
+        nodes: [u32; 2],
         a_from_b: Pose2,
         information: Matrix3<f64>,
         kind: EdgeKind,
         drift: [f64; 2],
     ) {
-        let known = self.information_between(a, b);
-        let covariance = (information + known + Matrix3::identity() * REGULARISATION)
+        self.push_edge(Edge { kind, ..Edge::scan_match(nodes, a_from_b, information, None) }, drift);
+    }
+
+    /// Adds the alignment of the scans of two nodes, which claims this information and may leave an axis open; see
+    /// [`Graph::add_edge`].
+    pub fn add_link(
+        &mut self,
+        nodes: [u32; 2],
+        a_from_b: Pose2,
+        information: Matrix3<f64>,
+        open_axis_rad: Option<f64>,
+        drift: [f64; 2],
+    ) {
+        self.push_edge(Edge::scan_match(nodes, a_from_b, information, open_axis_rad), drift);
+    }
+
+    fn push_edge(&mut self, edge: Edge, drift: [f64; 2]) {
+        let known = self.information_between(edge.a, edge.b);
+        let covariance = (edge.information + known + Matrix3::identity() * REGULARISATION)
             .try_inverse()
             .unwrap_or(Matrix3::identity());
         let plane = covariance.fixed_view::<2, 2>(0, 0).into_owned();
         let position = plane.symmetric_eigenvalues().max().max(POSITION_VARIANCE_MIN) + drift[0].powi(2);
         let variance = [position, covariance[(2, 2)].max(HEADING_VARIANCE_MIN) + drift[1].powi(2)];
         let index = self.edges.len() as u32;
-        self.edges.push(Edge { a, b, a_from_b, information, kind, is_active: true, variance, response: 0.0 });
-        self.edges_of_node[a as usize].push(index);
-        self.edges_of_node[b as usize].push(index);
+        self.edges_of_node[edge.a as usize].push(index);
+        self.edges_of_node[edge.b as usize].push(index);
+        self.edges.push(Edge { variance, ..edge });
     }
 
     /// Sum of the information of the active edges from `a` to `b`.
@@ -291,5 +341,34 @@ impl Graph {
         let result = posegraph::solve(&mut self.poses, &constraints, &options);
         self.failed_solutions += u64::from(result.is_err());
         result
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::SlamConfig;
+    use posegraph::information_from_sigmas;
+
+    #[test]
+    fn along_an_open_axis_odometry_decides_and_across_it_the_link() {
+        let mut graph = Graph::new(SlamConfig::default().graph);
+        let odometry = Pose2::new(1.0, 0.0, 0.0);
+        graph.add_node(Pose2::IDENTITY);
+        graph.add_node(odometry);
+        graph.add_edge([0, 1], odometry, information_from_sigmas(0.1, 0.1), EdgeKind::Odometry, [0.0; 2]);
+        // The scans of a corridor along x: 0.1 m short along it, which is noise, and 0.05 m to the side, which is not.
+        let (link, information) = (Pose2::new(0.9, 0.05, 0.02), information_from_sigmas(0.01, 0.01));
+        graph.add_link([0, 1], link, information, Some(0.0), [0.0; 2]);
+        graph.solve(false).unwrap();
+        let moved = graph.poses()[1];
+        assert!((moved.x_m - 1.0).abs() < 1e-3, "{moved:?}");
+        assert!((moved.y_m - 0.05).abs() < 1e-3 && (moved.yaw_rad - 0.02).abs() < 1e-3, "{moved:?}");
+        graph.update_covariances(0, [0.0; 2]);
+        let known = graph.covariance(1);
+        assert!((known[(0, 0)].sqrt() - 0.1).abs() < 0.002 && known[(1, 1)].sqrt() < 0.011, "{known}");
+        // A closure is judged by what the link claims.
+        let claimed = graph.relative_covariance(0, 1, [0.0; 2]).unwrap();
+        assert!(claimed[(0, 0)].sqrt() < 0.011, "{claimed}");
     }
 }

@@ -242,9 +242,9 @@ impl Submaps {
         let mut sums = BTreeMap::new();
         for edge in graph.edges().iter().filter(|edge| edge.is_active) {
             let (a, b, information) = if edge.a < edge.b {
-                (edge.a, edge.b, edge.information)
+                (edge.a, edge.b, edge.measured_information())
             } else {
-                (edge.b, edge.a, inverted(edge.information, edge.a_from_b))
+                (edge.b, edge.a, inverted(edge.measured_information(), edge.a_from_b))
             };
             let (Some((i, first_i)), Some((j, first_j))) = (self.submap_of(a), self.submap_of(b)) else {
                 continue;

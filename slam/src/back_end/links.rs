@@ -108,7 +108,7 @@ impl BackEnd {
             if is_measured { fit.information_for_links(l) } else { fit.information_without_noise };
         let information = self.limited(information);
         let drift = self.drift(fit.frame_from_cloud);
-        self.graph.add_edge([a, b], fit.frame_from_cloud, information, EdgeKind::ScanMatch, drift);
+        self.graph.add_link([a, b], fit.frame_from_cloud, information, fit.open_axis_rad, drift);
         true
     }
 

@@ -15,16 +15,23 @@ const CHI_SQUARED_MAX: f64 = 9.0;
 /// never taken to be less than half of what they claim, nor more than twice.
 const VARIANCE_FACTORS: [f64; 2] = [0.25, 4.0];
 
-/// What is known of the edges' errors beyond what they claim.
+/// What is known of the edges' errors beyond what they say.
 #[derive(Clone, Copy, Debug)]
 struct EdgeNoiseModel {
     /// Standard deviation that is added to each edge but odometry's, metres and radians per metre.
     drift: [f64; 2],
-    /// Variance of links and closures as a multiple of what they claim.
+    /// Whether links count as they claim, and not as they measure (see [`Edge::measured_information`]).
+    as_claimed: bool,
+    /// Variance of links and closures as a multiple of that.
     variance_factor: f64,
     /// Errors of odometry that repeat, metres and radians per metre: where it alone connects nodes, they grow with the way and not with
     /// its root.
     systematic: [f64; 2],
+}
+
+/// Whether scans measured an edge.
+fn is_scan(edge: &Edge) -> bool {
+    matches!(edge.kind, EdgeKind::ScanMatch | EdgeKind::Closure)
 }
 
 /// A covariance along a way through the graph.
@@ -92,13 +99,18 @@ impl Graph {
     /// Covariance of a node's pose as seen from another one, in the map's axes, along the best way; `None` if no edges join
     /// them. `drift` is a standard deviation that is added to each edge but odometry's, metres and radians per metre.
     pub fn relative_covariance(&self, from: u32, to: u32, drift: [f64; 2]) -> Option<Matrix3<f64>> {
-        let errors = EdgeNoiseModel { drift, variance_factor: 1.0, systematic: [0.0; 2] };
+        let errors = EdgeNoiseModel { drift, as_claimed: true, variance_factor: 1.0, systematic: [0.0; 2] };
         self.covariances_from(from, Some(to), errors)[to as usize].map(|known| known.covariance)
     }
 
     fn learned_errors(&self) -> EdgeNoiseModel {
         let systematic = self.systematic_odometry_errors;
-        EdgeNoiseModel { drift: [0.0; 2], variance_factor: self.variance_factor, systematic }
+        EdgeNoiseModel {
+            drift: [0.0; 2],
+            as_claimed: false,
+            variance_factor: self.variance_factor,
+            systematic,
+        }
     }
 
     /// How large the links' errors in the solved graph are, in variances that they claim: the variance of unit weight (Mikhail,
@@ -154,10 +166,9 @@ impl Graph {
         errors: EdgeNoiseModel,
     ) -> Option<PathCovariance> {
         let [a, b] = [edge.a, edge.b].map(|id| self.poses[id as usize]);
-        let is_scan = |e: &Edge| matches!(e.kind, EdgeKind::ScanMatch | EdgeKind::Closure);
-        let scaled =
-            |e: &Edge| if is_scan(e) { e.information / errors.variance_factor } else { e.information };
         let same = || self.edges_of(edge.b).filter(|e| e.a == edge.a && e.b == edge.b);
+        let said = |e: &Edge| if errors.as_claimed { e.information } else { e.measured_information() };
+        let scaled = |e: &Edge| if is_scan(e) { said(e) / errors.variance_factor } else { said(e) };
         let information = same().fold(Matrix3::identity() * REGULARISATION, |sum, e| sum + scaled(e));
         let length_m = edge.a_from_b.x_m.hypot(edge.a_from_b.y_m);
         let drifts_over_m = if edge.kind == EdgeKind::Odometry { 0.0 } else { length_m };

@@ -11,6 +11,7 @@ use crate::graph::Edge;
 use crate::node::{Node, Rays, SweptPath};
 use crate::reliability::{NodeComparison, ReliabilityEvidence, WallAgreement};
 use crate::relocalize::LocalFrameEstimate;
+use core::f64::consts::PI;
 use msg::{BEAMS_MAX, Pose2};
 use nalgebra::Matrix3;
 
@@ -163,6 +164,7 @@ fn check_edge(edge: &Edge, nodes: usize) -> Result {
     check(edge.variance.iter().all(|v| (0.0..=VARIANCE_MAX).contains(v)), "edge's variance")?;
     check((0.0..=1.0).contains(&edge.response), "closure's response")?;
     check_pose(edge.a_from_b, "edge's measurement")?;
+    check(edge.open_axis_rad.is_none_or(|axis_rad| axis_rad.abs() <= PI), "edge's open axis")?;
     check_matrix(&edge.information, "edge's information")
 }
 
