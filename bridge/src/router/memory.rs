@@ -124,7 +124,6 @@ impl TopicRouter {
         if now.since(self.memory.released) >= RELEASE_PERIOD.as_nanos() as u64 {
             self.memory.released = now;
             self.pool.release_unused();
-            self.unflushed.shrink_to(self.clients.len());
         }
     }
 
