@@ -37,12 +37,13 @@ pub struct Case {
 }
 
 impl Case {
-    /// Draws the case of a seed. Kind, sensor and odometry take turns, so that few seeds cover them; the rest is random.
+    /// Draws the case of a seed. Kind, sensor and odometry take turns, so that few seeds cover them; the rest is random. Each 48 seeds have
+    /// each kind with each sensor, each 288 with each odometry as well.
     pub fn draw(seed: u64) -> Self {
         let mut noise = Noise::new(seed ^ 0x67E9_E7A7);
         let pick = |count: usize, stride: u64| ((seed / stride) % count as u64) as usize;
         let kind = Kind::ALL[pick(Kind::ALL.len(), 1)];
-        let sensor = SENSORS[(pick(SENSORS.len(), 8) + pick(SENSORS.len(), 1)) % SENSORS.len()];
+        let sensor = SENSORS[(pick(SENSORS.len(), 8) + pick(Kind::ALL.len(), 1)) % SENSORS.len()];
         let odometry =
             OdometryKind::ALL[(pick(OdometryKind::ALL.len(), 48) + pick(OdometryKind::ALL.len(), 3)) % 6];
         let event =
