@@ -28,6 +28,7 @@ use formats::carmen::LaserLine;
 use formats::map_file::write_map_with_reasons;
 use merge::MergeConfig;
 use msg::{Odometry, Pose2, Scan, Stamp};
+use options::Replay;
 use records::{BagArgs, Log, is_recording};
 use slam::{
     BackEnd, FrontEnd, InitialPose, LocalFrameEstimate, MapFrameUpdate, Node, PlaceInMap, SessionIdentity,
@@ -118,14 +119,14 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     let recorded = if is_needed { recorded_fleet::configuration(&args.logs[0])? } else { None };
     // Robots that were not simulated are replayed like a recording from elsewhere: their stamps are another machine's.
     if let Some(config) = recorded.as_ref().filter(|config| of_fleet && !config.world.is_external()) {
-        options::refuse(options::OF_FLEET, args, "the replay of a fleet's recording")?;
+        options::refuse(Replay::Fleet, args)?;
         return recorded_fleet::run(args, config);
     }
     if args.serving.serve {
         return Err(ReplayError::NotServed);
     }
     if !args.logs.iter().any(|path| is_recording(path)) {
-        options::refuse(options::OF_CARMEN, args, "the replay of CARMEN logs")?;
+        options::refuse(Replay::Carmen, args)?;
     }
     let given = args.config.as_deref().map(FleetConfig::from_file).transpose()?;
     let (mut config, merging) = match given.or(recorded) {
@@ -137,7 +138,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     let log = match (args.logs.as_slice(), &args.merge) {
         ([log], None) => log,
         (logs, Some(starts)) if (2..=msg::ROBOTS_MAX).contains(&logs.len()) => {
-            options::refuse(options::OF_MERGED_LOGS, args, "the replay of several logs")?;
+            options::refuse(Replay::MergedLogs, args)?;
             return fleet::run(args, starts, &config, &merging);
         }
         (logs, _) => return Err(ReplayError::Logs(logs.len())),
