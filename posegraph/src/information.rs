@@ -23,14 +23,15 @@ pub fn limit_information(information: Matrix3<f64>, floor: [f64; 2], unobserved:
     (limited + limited.transpose()) * 0.5
 }
 
-/// The same information without any of the position along an axis (direction in the plane, radians): what is left where the
-/// position along it is marginalised out (its Schur complement). The result is symmetric and has no negative eigenvalue if the
-/// matrix is so.
+/// Removes the position along an axis from an information matrix by marginalisation (Schur complement). `axis_rad` is the axis' direction in the
+/// plane. The result is positive semidefinite if the matrix is.
 pub fn information_without_axis(information: Matrix3<f64>, axis_rad: f64) -> Matrix3<f64> {
     let axis = Vector3::new(axis_rad.cos(), axis_rad.sin(), 0.0);
     let column = information * axis;
     let along = axis.dot(&column);
-    if along > 0.0 { information - column * column.transpose() / along } else { information }
+    // Less than what rounding leaves of the other coordinates is no information.
+    let is_held = along > f64::EPSILON * information.trace();
+    if is_held { information - column * column.transpose() / along } else { information }
 }
 
 /// Information of a measured `a_from_b`, expressed for `i_from_j = i_from_a * a_from_b * b_from_j`.

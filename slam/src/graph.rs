@@ -46,11 +46,11 @@ pub struct Edge {
     pub b: u32,
     /// Pose of `b` in the frame of `a`, as measured.
     pub a_from_b: Pose2,
-    /// Its inverse covariance over (x, y, yaw) in `a`, as the alignment claims it.
+    /// Its inverse covariance over (x, y, yaw) in `a`; of scans, as the alignment claims it.
     #[serde(with = "crate::encoding::matrix")]
     pub information: Matrix3<f64>,
-    /// Direction in `a` along which no surface faces, radians: what is claimed along it is noise of normals.
-    pub open_axis_rad: Option<f64>,
+    /// Of scans: direction in `a` that almost no surface constrains, radians. What the information has there is mostly noise of normals.
+    pub degenerate_direction_rad: Option<f64>,
     /// Origin of the measurement.
     pub kind: EdgeKind,
     /// Whether the edge has effect; false after it was retracted.
@@ -67,14 +67,14 @@ impl Edge {
         [a, b]: [u32; 2],
         a_from_b: Pose2,
         information: Matrix3<f64>,
-        open_axis_rad: Option<f64>,
+        degenerate_direction_rad: Option<f64>,
     ) -> Self {
         Self {
             a,
             b,
             a_from_b,
             information,
-            open_axis_rad,
+            degenerate_direction_rad,
             kind: EdgeKind::ScanMatch,
             is_active: true,
             variance: [0.0; 2],
@@ -82,14 +82,14 @@ impl Edge {
         }
     }
 
-    /// The inverse covariance without what is claimed along the open axis.
+    /// The information without that along the degenerate direction.
     ///
-    /// The graph is solved with it, and covariances count it. Closures are judged by what is claimed: a path that claims less
-    /// admits more of them, wrong ones too.
+    /// The graph is solved with it, and covariances of poses count it. Closures are judged by all of it: a path of less
+    /// information admits more of them, wrong ones too.
     pub fn measured_information(&self) -> Matrix3<f64> {
         let unobserved = Matrix3::identity() * UNOBSERVED;
-        self.open_axis_rad.map_or(self.information, |axis_rad| {
-            information_without_axis(self.information, axis_rad) + unobserved
+        self.degenerate_direction_rad.map_or(self.information, |direction_rad| {
+            information_without_axis(self.information, direction_rad) + unobserved
         })
     }
 
@@ -152,7 +152,7 @@ pub struct Graph {
     /// The node that they are seen from.
     covariance_reference_node: u32,
     edges: Vec<Edge>,
-    /// Variance of links and closures as a multiple of what they claim, by the last solution.
+    /// Variance of links and closures as a multiple of what their information says, by the last solution.
     variance_factor: f64,
     /// Errors of odometry that repeat, metres and radians per metre.
     systematic_odometry_errors: [f64; 2],
@@ -234,7 +234,7 @@ impl Graph {
         self.edges_of_node.push(Vec::new());
     }
 
-    /// Adds a measurement that leaves no axis open. `drift` (metres, radians, one standard deviation) is added to its
+    /// Adds a measurement without a degenerate direction. `drift` (metres, radians, one standard deviation) is added to its
     /// uncertainty when that is propagated, see [`Graph::uncertainty_from`]; not when the graph is solved.
     pub fn add_edge(
         &mut self,
@@ -247,17 +247,16 @@ impl Graph {
         self.push_edge(Edge { kind, ..Edge::scan_match(nodes, a_from_b, information, None) }, drift);
     }
 
-    /// Adds the alignment of the scans of two nodes, which claims this information and may leave an axis open; see
-    /// [`Graph::add_edge`].
+    /// Adds the alignment of the scans of two nodes, which may have a degenerate direction; see [`Graph::add_edge`].
     pub fn add_link(
         &mut self,
         nodes: [u32; 2],
         a_from_b: Pose2,
         information: Matrix3<f64>,
-        open_axis_rad: Option<f64>,
+        degenerate_direction_rad: Option<f64>,
         drift: [f64; 2],
     ) {
-        self.push_edge(Edge::scan_match(nodes, a_from_b, information, open_axis_rad), drift);
+        self.push_edge(Edge::scan_match(nodes, a_from_b, information, degenerate_direction_rad), drift);
     }
 
     fn push_edge(&mut self, edge: Edge, drift: [f64; 2]) {
@@ -351,24 +350,30 @@ mod tests {
     use posegraph::information_from_sigmas;
 
     #[test]
-    fn along_an_open_axis_odometry_decides_and_across_it_the_link() {
+    fn along_a_degenerate_direction_odometry_decides_and_across_it_the_link() {
         let mut graph = Graph::new(SlamConfig::default().graph);
-        let odometry = Pose2::new(1.0, 0.0, 0.0);
-        graph.add_node(Pose2::IDENTITY);
-        graph.add_node(odometry);
+        let map_from_a = Pose2::new(3.0, -2.0, 1.1);
+        // A corridor at 0.7 rad in the frame of `a`; `b` looks elsewhere.
+        let a_from_corridor = Pose2::new(0.0, 0.0, 0.7);
+        let in_corridor = |x_m: f64, y_m: f64, yaw_rad: f64| a_from_corridor * Pose2::new(x_m, y_m, yaw_rad);
+        let odometry = in_corridor(1.0, 0.0, 0.5);
+        graph.add_node(map_from_a);
+        graph.add_node(map_from_a * odometry);
         graph.add_edge([0, 1], odometry, information_from_sigmas(0.1, 0.1), EdgeKind::Odometry, [0.0; 2]);
-        // The scans of a corridor along x: 0.1 m short along it, which is noise, and 0.05 m to the side, which is not.
-        let (link, information) = (Pose2::new(0.9, 0.05, 0.02), information_from_sigmas(0.01, 0.01));
-        graph.add_link([0, 1], link, information, Some(0.0), [0.0; 2]);
+        // By the scans 0.1 m short along the corridor, which is noise, and 0.05 m to the side, which is not.
+        let (link, information) = (in_corridor(0.9, 0.05, 0.52), information_from_sigmas(0.01, 0.01));
+        graph.add_link([0, 1], link, information, Some(0.7), [0.0; 2]);
         graph.solve(false).unwrap();
-        let moved = graph.poses()[1];
+        let moved = (map_from_a * a_from_corridor).between(graph.poses()[1]);
         assert!((moved.x_m - 1.0).abs() < 1e-3, "{moved:?}");
-        assert!((moved.y_m - 0.05).abs() < 1e-3 && (moved.yaw_rad - 0.02).abs() < 1e-3, "{moved:?}");
+        assert!((moved.y_m - 0.05).abs() < 1e-3 && (moved.yaw_rad - 0.52).abs() < 2e-3, "{moved:?}");
+        // The map's covariance, turned into the corridor.
         graph.update_covariances(0, [0.0; 2]);
-        let known = graph.covariance(1);
+        let along_and_across = |covariance| turn_covariance(covariance, -1.8);
+        let known = along_and_across(graph.covariance(1));
         assert!((known[(0, 0)].sqrt() - 0.1).abs() < 0.002 && known[(1, 1)].sqrt() < 0.011, "{known}");
         // A closure is judged by what the link claims.
-        let claimed = graph.relative_covariance(0, 1, [0.0; 2]).unwrap();
+        let claimed = along_and_across(graph.relative_covariance(0, 1, [0.0; 2]).unwrap());
         assert!(claimed[(0, 0)].sqrt() < 0.011, "{claimed}");
     }
 }

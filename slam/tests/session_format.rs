@@ -160,6 +160,16 @@ fn every_value_is_checked() {
     refused("pose of a node", &|s| s.back.poses[0].yaw_rad = f64::NAN);
     refused("edge between nodes", &|s| s.back.edges[0].b = 4);
     refused("edge's information", &|s| s.back.edges[0].information[4] = -1.0);
+    for spoilt in [f64::NAN, 4.0] {
+        refused("edge's degenerate direction", &|s| {
+            let link = s.back.edges.iter_mut().find(|edge| edge.kind == slam::EdgeKind::ScanMatch).unwrap();
+            link.degenerate_direction_rad = Some(spoilt);
+        });
+    }
+    refused("edge's degenerate direction", &|s| {
+        let odometry = s.back.edges.iter_mut().find(|edge| edge.kind == slam::EdgeKind::Odometry).unwrap();
+        odometry.degenerate_direction_rad = Some(0.0);
+    });
     refused("edge's variance", &|s| s.back.edges[0].variance[0] = f64::NAN);
     refused("closure's response", &|s| s.back.edges[0].response = 1.5);
     refused("length of the path", &|s| s.back.travelled_m = -1.0);

@@ -267,7 +267,7 @@ impl Outcome {
             let Some((a, b)) = at(edge.a).zip(at(edge.b)) else { continue };
             let error = a.between(b).between(edge.a_from_b);
             let wrong = usize::from(error.x_m.hypot(error.y_m) > WRONG_M || error.yaw_rad.abs() > WRONG_RAD);
-            let measured = normalized_squared(edge.a_from_b, a.between(b), edge.information);
+            let measured = normalized_squared(edge.a_from_b, a.between(b), edge.measured_information());
             match (edge.kind, edge.is_active) {
                 (EdgeKind::Closure, true) => {
                     self.closures[wrong] += 1;

@@ -172,10 +172,10 @@ fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
     for e in mine.iter().map(|&i| &edges[i]) {
         match neighbours.iter_mut().find(|n| n.0 == other(e)) {
             Some(n) => {
-                n.1 += e.measured_information();
+                n.1 += e.information;
                 n.3 = if n.3 == EdgeKind::OdometryBreak { e.kind } else { n.3 };
             }
-            None => neighbours.push((other(e), e.measured_information(), e.variance, e.kind)),
+            None => neighbours.push((other(e), e.information, e.variance, e.kind)),
         }
     }
     neighbours.sort_by(|a, b| b.1.trace().total_cmp(&a.1.trace()).then(a.0.cmp(&b.0)));
@@ -199,7 +199,7 @@ fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
             b,
             a_from_b: poses[a as usize].between(poses[b as usize]),
             information: (information + information.transpose()) * 0.5,
-            open_axis_rad: None,
+            degenerate_direction_rad: None,
             kind: if along { kind } else { EdgeKind::ScanMatch },
             is_active: true,
             variance: [variance[0] + heir_variance[0], variance[1] + heir_variance[1]],

@@ -103,12 +103,12 @@ impl BackEnd {
             return false;
         }
         let is_measured = self.nodes[a as usize + 1..=b as usize].iter().all(|node| node.unmeasured_s == 0.0);
-        // Noise of normals claims to hold a corridor's length: no matter beside odometry, but nothing else would hold it here.
+        // Noise of normals claims to determine the motion along a corridor: without odometry nothing else would.
         let information =
             if is_measured { fit.information_for_links(l) } else { fit.information_without_noise };
         let information = self.limited(information);
         let drift = self.drift(fit.frame_from_cloud);
-        self.graph.add_link([a, b], fit.frame_from_cloud, information, fit.open_axis_rad, drift);
+        self.graph.add_link([a, b], fit.frame_from_cloud, information, fit.degenerate_direction_rad, drift);
         true
     }
 

@@ -209,7 +209,7 @@ mod tests {
                 b: node + 1,
                 a_from_b,
                 information: information_from_sigmas(link_sigma, link_sigma),
-                open_axis_rad: None,
+                degenerate_direction_rad: None,
                 kind: EdgeKind::ScanMatch,
                 is_active: true,
                 variance: [0.0; 2],

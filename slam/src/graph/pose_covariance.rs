@@ -15,14 +15,14 @@ const CHI_SQUARED_MAX: f64 = 9.0;
 /// never taken to be less than half of what they claim, nor more than twice.
 const VARIANCE_FACTORS: [f64; 2] = [0.25, 4.0];
 
-/// What is known of the edges' errors beyond what they say.
+/// What is known of the edges' errors beyond their information.
 #[derive(Clone, Copy, Debug)]
 struct EdgeNoiseModel {
     /// Standard deviation that is added to each edge but odometry's, metres and radians per metre.
     drift: [f64; 2],
-    /// Whether links count as they claim, and not as they measure (see [`Edge::measured_information`]).
+    /// Whether links count with all that they claim, and not with [`Edge::measured_information`].
     as_claimed: bool,
-    /// Variance of links and closures as a multiple of that.
+    /// Variance of links and closures as a multiple of what their information says.
     variance_factor: f64,
     /// Errors of odometry that repeat, metres and radians per metre: where it alone connects nodes, they grow with the way and not with
     /// its root.
@@ -118,7 +118,9 @@ impl Graph {
     fn variance_of_unit_weight(&self) -> f64 {
         let links = || self.edges.iter().filter(|edge| edge.is_active && edge.kind == EdgeKind::ScanMatch);
         let squared: f64 = links().map(|edge| self.chi_squared(edge).min(CHI_SQUARED_MAX)).sum();
-        let freedom = 3.0 * (links().count() as f64 - self.poses.len() as f64 + 1.0);
+        // A link measures nothing along a degenerate direction, and has no error there.
+        let measured: usize = links().map(|e| if e.degenerate_direction_rad.is_some() { 2 } else { 3 }).sum();
+        let freedom = measured as f64 - 3.0 * (self.poses.len() as f64 - 1.0);
         let [least, most] = VARIANCE_FACTORS;
         if freedom < FREEDOM_MIN { 1.0 } else { (squared / freedom).clamp(least, most) }
     }
@@ -167,8 +169,11 @@ impl Graph {
     ) -> Option<PathCovariance> {
         let [a, b] = [edge.a, edge.b].map(|id| self.poses[id as usize]);
         let same = || self.edges_of(edge.b).filter(|e| e.a == edge.a && e.b == edge.b);
-        let said = |e: &Edge| if errors.as_claimed { e.information } else { e.measured_information() };
-        let scaled = |e: &Edge| if is_scan(e) { said(e) / errors.variance_factor } else { said(e) };
+        let information_of =
+            |e: &Edge| if errors.as_claimed { e.information } else { e.measured_information() };
+        let scaled = |e: &Edge| {
+            if is_scan(e) { information_of(e) / errors.variance_factor } else { information_of(e) }
+        };
         let information = same().fold(Matrix3::identity() * REGULARISATION, |sum, e| sum + scaled(e));
         let length_m = edge.a_from_b.x_m.hypot(edge.a_from_b.y_m);
         let drifts_over_m = if edge.kind == EdgeKind::Odometry { 0.0 } else { length_m };

@@ -7,7 +7,7 @@ use super::{Session, SessionError, SessionIdentity};
 use crate::back_end::{BackEndState, ReliabilityMonitor};
 use crate::closure::ClosureCandidate;
 use crate::front_end::FrontEndState;
-use crate::graph::Edge;
+use crate::graph::{Edge, EdgeKind};
 use crate::node::{Node, Rays, SweptPath};
 use crate::reliability::{NodeComparison, ReliabilityEvidence, WallAgreement};
 use crate::relocalize::LocalFrameEstimate;
@@ -164,7 +164,8 @@ fn check_edge(edge: &Edge, nodes: usize) -> Result {
     check(edge.variance.iter().all(|v| (0.0..=VARIANCE_MAX).contains(v)), "edge's variance")?;
     check((0.0..=1.0).contains(&edge.response), "closure's response")?;
     check_pose(edge.a_from_b, "edge's measurement")?;
-    check(edge.open_axis_rad.is_none_or(|axis_rad| axis_rad.abs() <= PI), "edge's open axis")?;
+    let is_direction = |rad: f64| rad.abs() <= PI && edge.kind == EdgeKind::ScanMatch;
+    check(edge.degenerate_direction_rad.is_none_or(is_direction), "edge's degenerate direction")?;
     check_matrix(&edge.information, "edge's information")
 }
 

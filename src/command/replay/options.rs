@@ -31,7 +31,7 @@ type ReplayOption = (&'static str, fn(&ReplayArgs) -> bool, &'static [Replay]);
 
 /// All options but those that need `--serve` or `--session`.
 pub const OPTIONS: &[ReplayOption] = &[
-    // These four make the replay of a fleet's recording that of one of its robots.
+    // With one of these four, one robot of a fleet's recording is replayed.
     ("scan-topic", |args| args.bag.scan_topic.is_some(), &[Carmen]),
     ("odom-topic", |args| args.bag.odom_topic.is_some(), &[Carmen]),
     ("odom-frame", |args| args.bag.odom_frame.is_some(), &[Carmen]),
@@ -50,7 +50,7 @@ pub const OPTIONS: &[ReplayOption] = &[
     ("mode", |args| args.mode != Mode::default(), &[Fleet, MergedLogs]),
     ("skip", |args| args.skip > 0, &[Fleet, MergedLogs]),
     ("scans", |args| args.scans.is_some(), &[Fleet, MergedLogs]),
-    // Of others it is refused with what it is for: `ReplayError::NotServed`.
+    // Other replays refuse it with `ReplayError::NotServed`.
     ("serve", |args| args.serving.serve, &[]),
 ];
 
@@ -86,7 +86,7 @@ mod tests {
         Program::try_parse_from(words).unwrap_or_else(|error| panic!("{error}")).args
     }
 
-    /// The values of the first one that an option can have.
+    /// A value that the option can have and that is not its default; none for a flag.
     fn value(argument: &clap::Arg) -> Option<String> {
         if !argument.get_action().takes_values() {
             return None;
@@ -111,6 +111,8 @@ mod tests {
             .collect();
         let names: BTreeSet<&str> = options.iter().filter_map(|argument| argument.get_long()).collect();
         assert_eq!(names, OPTIONS.iter().map(|(name, ..)| *name).collect::<BTreeSet<_>>());
+        let bare = Program::try_parse_from(["replay", "a.log"]).ok().unwrap().args;
+        assert!(OPTIONS.iter().all(|(_, is_given, _)| !is_given(&bare)));
         for argument in options {
             let name = argument.get_long().unwrap();
             let args = parse(name, value(argument).as_deref());
