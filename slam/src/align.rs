@@ -60,7 +60,7 @@ pub struct ScanAlignment {
     /// length, and a hundred of them claim centimetres; the product of the normals of two scans does not, as their noise
     /// is independent.
     pub information_without_noise: Matrix3<f64>,
-    /// Direction in the frame in which almost no surface with a normal in both scans faces ([`DEGENERATE_SHARE_MAX`]), radians; `None` if there
+    /// Direction in the frame in which almost no surface with a normal in both scans faces (`DEGENERATE_SHARE_MAX`), radians; `None` if there
     /// is none. Poles and chair legs have no normals: they do not count.
     pub degenerate_direction_rad: Option<f64>,
     /// Share of the points that matched a surface of at least one reference, 0 to 1.
@@ -165,6 +165,16 @@ pub fn align<'a>(
     let (mut wide, mut narrow) = (0, 0);
     while narrow < NARROW_ITERATIONS {
         let (mut hessian, mut gradient) = (sums.hessian * weight, sums.gradient * weight);
+        if let Some(direction_rad) = degenerate_direction_rad(sums.of_both_normals) {
+            // The solution is not moved along it (Zhang et al. 2016, section IV).
+            let axis = Vector3::new(direction_rad.cos(), direction_rad.sin(), 0.0);
+            let column = hessian * axis;
+            let along = axis.dot(&column);
+            if along > 0.0 {
+                gradient -= column * (axis.dot(&gradient) / along);
+                hessian = posegraph::information_without_axis(hessian, direction_rad);
+            }
+        }
         if let Some(prior) = prior {
             hessian += prior.information;
             gradient += prior.information * difference(pose, prior.pose);

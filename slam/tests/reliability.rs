@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{FULL, Noise, Robot, Wall, cast, rectangle};
+use common::{FULL, Lidar, Noise, Robot, Wall, cast, rectangle};
 use msg::{Pose2, SlamMode, TrackingState};
 use slam::session::{Session, SessionIdentity};
 use slam::{InitialPose, PlaceInMap, Slam, SlamConfig};
@@ -108,4 +108,25 @@ fn odometry_that_comes_back_in_a_corridor_is_used_again() {
     let poses: Vec<Pose2> = slam.trajectory().map(|(_, pose)| pose).collect();
     let (driven_m, true_m) = (poses[225].distance_m(poses[515]), said[225].1.distance_m(said[515].1));
     assert!((driven_m - true_m).abs() < 0.5, "{driven_m} m of {true_m} m");
+}
+
+#[test]
+fn many_noisy_beams_do_not_shorten_a_corridor() {
+    // Sees 30 m far: the normals of 1081 beams have much noise, and together claim much.
+    let lidar = Lidar { beams: 1081, fov_rad: 1.5 * core::f64::consts::PI, range_max_m: 30.0, sigma_m: 0.02 };
+    let walls: Vec<Wall> = rectangle(-40.0, -1.1, 90.0, 1.1).into_iter().collect();
+    let mut noise = Noise::new(4);
+    let mut robot = Robot { slip: 0.0, veer_rad_per_m: 0.0, ..Robot::new(Pose2::IDENTITY) };
+    let mut slam = Slam::new(SlamConfig::default());
+    let mut said = Said::new();
+    for _ in 0..400 {
+        robot.drive(0.5, 0.0, 0.1, &mut noise);
+        slam.add_odometry(&robot.odometry());
+        let scan = cast(&walls, &lidar, robot.world_from_base, robot.stamp(), &mut noise);
+        said.push((slam.process(&scan).pose_estimate.state(), robot.world_from_base));
+        slam.work();
+    }
+    slam.finish();
+    let (error_m, known) = known_error_m(&slam, &said);
+    assert!(error_m < 0.1 && known == said.len(), "{error_m} m, {known} scans");
 }
