@@ -147,7 +147,7 @@ pub fn wrong_starts(table: &mut Table, folder: &Path) -> Result<(), Error> {
             let given = if seed == 0 { lines.clone() } else { with_wrong_start(&lines, seed)? };
             std::fs::write(&file, given.join("\n") + "\n")?;
             let starts = format!("known:{}", file.display());
-            let (summary, _, found) =
+            let (summary, _, found, _) =
                 fleet(&starts, false, &logs, &home.join(case.between), &folder.join(case.odometry))?;
             if seed == 0 {
                 surveyed_m = found.mean_m;
@@ -188,7 +188,7 @@ fn with_wrong_start(lines: &[String], seed: u64) -> Result<Vec<String>, Error> {
 }
 
 /// Merges logs. Returns a row with the mean error of the relations between them, NaN if they are not all merged, and the
-/// trajectories. Of a log that was `cut`, the relations across the cut count.
+/// trajectories. Of a log that was `cut`, the relations across the cut count, of all logs those between poses in the map.
 fn merged(
     name: &str,
     cut: bool,
@@ -196,28 +196,28 @@ fn merged(
     relations: &Path,
     odometry: &Path,
 ) -> Result<(Row, Vec<String>), Error> {
-    let (summary, together, found) = fleet("unknown", cut, logs, relations, odometry)?;
+    let (summary, together, found, known) = fleet("unknown", cut, logs, relations, odometry)?;
     let merged = merged_count(&summary);
     let [wall_s, merge_s] = ["wall_s", "merge_s"].map(|key| summary[key].as_f64().unwrap_or(f64::NAN));
     let closures: u64 =
         summary["edges"].as_array().into_iter().flatten().filter_map(|e| e["closures"].as_u64()).sum();
     let note = format!(
-        "{merged} of {} merged, {closures} closures, {wall_s:.1} s, {merge_s:.1} s of it merging",
+        "of {known}; {merged} of {} merged, {closures} closures, {wall_s:.1} s, {merge_s:.1} s of it merging",
         logs.len()
     );
     let value = if merged == logs.len() { found.mean_m } else { f64::NAN };
     Ok((Row::new(name, value, found.count as f64).note(note), together))
 }
 
-/// Replays the logs of a fleet, with these starts as `--merge` takes them. Returns the summary, the trajectories, and the errors of
-/// relations between the robots: no number where no relation is known.
+/// Replays the logs of a fleet, with these starts as `--merge` takes them. Returns the summary, the trajectories, the errors of
+/// relations between poses in the merged map (no number where there is none), and how many relations are known.
 fn fleet(
     starts: &str,
     cut: bool,
     logs: &[PathBuf],
     relations: &Path,
     odometry: &Path,
-) -> Result<(serde_json::Value, Vec<String>, Errors), Error> {
+) -> Result<(serde_json::Value, Vec<String>, Errors, usize), Error> {
     let scratch = tempfile::tempdir()?;
     let summary = replay(logs, &["--merge", starts], scratch.path())?;
     let together = trajectories(scratch.path(), logs.len())?;
@@ -233,7 +233,7 @@ fn fleet(
     if found.count == 0 {
         found.mean_m = f64::NAN;
     }
-    Ok((summary, together, found))
+    Ok((summary, together, found, relations.len()))
 }
 
 fn merged_count(summary: &serde_json::Value) -> usize {

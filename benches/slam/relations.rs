@@ -15,8 +15,15 @@ const ODOMETRY_NEAR_S: f64 = 0.1;
 /// Relations over more than this are revisits, seconds: they can tell systems apart.
 const REVISIT_S: f64 = 30.0;
 
+/// How a line of a trajectory begins whose pose is not in the map's frame; its numbers follow a colon.
+const UNPLACED: &str = "# not placed in the map";
+
 /// Poses by time, seconds; no time twice.
-pub struct Trajectory(Vec<(f64, Pose2)>);
+pub struct Trajectory {
+    poses: Vec<(f64, Pose2)>,
+    /// Times of scans whose poses are not known in the map, ascending.
+    unplaced_s: Vec<f64>,
+}
 
 /// The pose of the robot at `to_s` as seen from where it was at `from_s`.
 pub struct Relation {
@@ -66,25 +73,34 @@ impl Trajectory {
     pub fn new(mut poses: Vec<(f64, Pose2)>) -> Self {
         poses.sort_by(|a, b| a.0.total_cmp(&b.0));
         poses.dedup_by(|later, kept| later.0 <= kept.0);
-        Self(poses)
+        Self { poses, unplaced_s: Vec::new() }
     }
 
-    /// From text: `t x y yaw` or `t x y z qx qy qz qw` a line.
+    /// From text: `t x y yaw` or `t x y z qx qy qz qw` a line. Of lines that begin as [`UNPLACED`] the time alone counts.
     pub fn parse(text: &str) -> Result<Self, String> {
         let pose = |row: &[f64]| match *row {
             [t, x, y, yaw] => Some((t, Pose2::new(x, y, yaw))),
             [t, x, y, _, _, _, qz, qw] => Some((t, Pose2::new(x, y, wrap_angle(2.0 * qz.atan2(qw))))),
             _ => None,
         };
-        Ok(Self::new(rows(text, pose, "t x y yaw")?))
+        let unplaced_s =
+            |line: &str| -> Option<f64> { line.split_once(':')?.1.split_whitespace().next()?.parse().ok() };
+        let mut found = Self::new(rows(text, pose, "t x y yaw")?);
+        for line in text.lines().filter(|line| line.starts_with(UNPLACED)) {
+            found
+                .unplaced_s
+                .push(unplaced_s(line).ok_or_else(|| format!("{line}: expected a time after the colon"))?);
+        }
+        found.unplaced_s.sort_by(f64::total_cmp);
+        Ok(found)
     }
 
     /// Whether a relation is between two of its own times.
     #[allow(dead_code, reason = "the merge bench's: the slam bench has one trajectory at a time")]
     pub fn spans(&self, relation: &Relation) -> bool {
         let within = |at_s: f64| {
-            let [first, last] =
-                [self.0.first(), self.0.last()].map(|pose| pose.map_or(f64::NAN, |(t, _)| *t));
+            let times = || self.poses.iter().map(|(t, _)| *t).chain(self.unplaced_s.iter().copied());
+            let [first, last] = [times().fold(f64::NAN, f64::min), times().fold(f64::NAN, f64::max)];
             (first - NEAR_S..=last + NEAR_S).contains(&at_s)
         };
         within(relation.from_s) && within(relation.to_s)
@@ -95,41 +111,53 @@ impl Trajectory {
         let line = |(t, pose): &(f64, Pose2)| {
             format!("{t:.6} {:.6} {:.6} {:.6}\n", pose.x_m, pose.y_m, pose.yaw_rad)
         };
-        self.0.iter().map(line).collect()
+        self.poses.iter().map(line).collect()
     }
 
     /// When it begins, seconds.
     pub fn begins_s(&self) -> f64 {
-        self.0.first().map_or(f64::INFINITY, |(t, _)| *t)
+        self.poses.first().map_or(f64::INFINITY, |(t, _)| *t)
     }
 
     /// The pose at a scan's own time.
     pub fn scan_at(&self, at_s: f64) -> Option<Pose2> {
-        let (scan_s, pose) = *self.0.get(self.nearest(at_s))?;
+        let (scan_s, pose) = *self.poses.get(self.nearest(at_s))?;
         ((scan_s - at_s).abs() <= SAME_S).then_some(pose)
+    }
+
+    /// Whether the scan nearest to a time is placed in the map.
+    fn is_placed(&self, at_s: f64) -> bool {
+        let Some((placed_s, _)) = self.poses.get(self.nearest(at_s)) else { return false };
+        let after = self.unplaced_s.partition_point(|t| *t < at_s);
+        let beside = self.unplaced_s[after.saturating_sub(1)..].iter().take(2);
+        let unplaced_s = beside.map(|t| (t - at_s).abs()).fold(f64::INFINITY, f64::min);
+        (placed_s - at_s).abs() <= unplaced_s
     }
 
     /// Index of the pose nearest in time; of two as near, the earlier.
     fn nearest(&self, at_s: f64) -> usize {
-        let last = self.0.len().saturating_sub(1);
-        let after = self.0.partition_point(|(t, _)| *t < at_s).clamp(1.min(last), last);
+        let last = self.poses.len().saturating_sub(1);
+        let after = self.poses.partition_point(|(t, _)| *t < at_s).clamp(1.min(last), last);
         let before = after.saturating_sub(1);
-        if (self.0[before].0 - at_s).abs() <= (self.0[after].0 - at_s).abs() { before } else { after }
+        if (self.poses[before].0 - at_s).abs() <= (self.poses[after].0 - at_s).abs() { before } else { after }
     }
 
     /// The pose at a time, if it can be told; between scans with odometry's help where there is some.
     fn at(&self, at_s: f64, odometry: Option<&Self>, near_s: f64) -> Option<Pose2> {
-        let (scan_s, pose) = self.0[self.nearest(at_s)];
+        if !self.is_placed(at_s) {
+            return None;
+        }
+        let (scan_s, pose) = self.poses[self.nearest(at_s)];
         if (scan_s - at_s).abs() <= near_s {
             return Some(pose);
         }
         if let Some(odometry) = odometry {
-            let (from, to) = (odometry.0[odometry.nearest(scan_s)], odometry.0[odometry.nearest(at_s)]);
+            let [from, to] = [scan_s, at_s].map(|t| odometry.poses[odometry.nearest(t)]);
             let known = (from.0 - scan_s).abs() <= ODOMETRY_NEAR_S && (to.0 - at_s).abs() <= ODOMETRY_NEAR_S;
             return known.then(|| pose * from.1.between(to.1));
         }
-        let after = self.0.partition_point(|(t, _)| *t < at_s);
-        let ((from_s, from), (to_s, to)) = (self.0.get(after.checked_sub(1)?)?, self.0.get(after)?);
+        let after = self.poses.partition_point(|(t, _)| *t < at_s);
+        let ((from_s, from), (to_s, to)) = (self.poses.get(after.checked_sub(1)?)?, self.poses.get(after)?);
         let share = (at_s - from_s) / (to_s - from_s);
         let yaw_rad = wrap_angle(from.yaw_rad + share * wrap_angle(to.yaw_rad - from.yaw_rad));
         let between = Pose2::new(
@@ -159,7 +187,7 @@ pub fn errors(
     relations: &[Relation],
     which: Which,
 ) -> Errors {
-    if estimate.0.is_empty() {
+    if estimate.poses.is_empty() {
         return Errors::default();
     }
     let (odometry, near_s) = if which == Which::BothKept { (None, SAME_S) } else { (odometry, NEAR_S) };
