@@ -16,6 +16,10 @@ const MATCH_CELLS_MIN: f32 = 1.5;
 const CONFLICT_CELLS_MIN: f32 = 2.5;
 /// Least [`WallConfig::side_m`], cells: fewer do not tell a side from the other.
 const SIDE_CELLS_MIN: usize = 3;
+/// Distance between the centres of cells that share a side, cells (Borgefors 1986),
+const SIDE: f32 = 0.955;
+/// and of cells that share a corner.
+const DIAGONAL: f32 = 1.3693;
 
 /// Distance to the nearest wall of one map, in the centred frame of its points.
 pub(crate) struct DistanceField {
@@ -95,47 +99,17 @@ impl DistanceField {
     /// Propagates distances in two sweeps of a chamfer (Borgefors, "Distance transformations in digital images", 1986):
     /// within 4 % of the Euclidean distance.
     fn propagate_distances(&mut self) {
-        const SIDE: f32 = 0.955;
-        const DIAGONAL: f32 = 1.3693;
-        let (width, height) = (self.width, self.height);
-        let d = &mut self.distance;
-        for y in 0..height {
-            for x in 0..width {
-                let i = y * width + x;
-                let mut least = d[i];
-                if x > 0 {
-                    least = least.min(d[i - 1] + SIDE);
-                }
-                if y > 0 {
-                    least = least.min(d[i - width] + SIDE);
-                    if x > 0 {
-                        least = least.min(d[i - width - 1] + DIAGONAL);
-                    }
-                    if x + 1 < width {
-                        least = least.min(d[i - width + 1] + DIAGONAL);
-                    }
-                }
-                d[i] = least;
-            }
+        let mut before: Option<&mut [f32]> = None;
+        for row in self.distance.chunks_exact_mut(self.width) {
+            before.into_iter().for_each(|before| propagate_from_row(row, before));
+            propagate_along(row.iter_mut());
+            before = Some(row);
         }
-        for y in (0..height).rev() {
-            for x in (0..width).rev() {
-                let i = y * width + x;
-                let mut least = d[i];
-                if x + 1 < width {
-                    least = least.min(d[i + 1] + SIDE);
-                }
-                if y + 1 < height {
-                    least = least.min(d[i + width] + SIDE);
-                    if x > 0 {
-                        least = least.min(d[i + width - 1] + DIAGONAL);
-                    }
-                    if x + 1 < width {
-                        least = least.min(d[i + width + 1] + DIAGONAL);
-                    }
-                }
-                d[i] = least;
-            }
+        let mut before: Option<&mut [f32]> = None;
+        for row in self.distance.chunks_exact_mut(self.width).rev() {
+            before.into_iter().for_each(|before| propagate_from_row(row, before));
+            propagate_along(row.iter_mut().rev());
+            before = Some(row);
         }
     }
 
@@ -215,6 +189,28 @@ impl DistanceField {
         let (low, high) = (p00 + s * (p10 - p00), p01 + s * (p11 - p01));
         let across = (1.0 - t) * (p10 - p00) + t * (p11 - p01);
         Some((low + t * (high - low), [across, high - low]))
+    }
+}
+
+/// Distances of a row from those of the row before it.
+fn propagate_from_row(row: &mut [f32], before: &[f32]) {
+    let nearer = |distance: &mut f32, other: f32| {
+        if other < *distance {
+            *distance = other;
+        }
+    };
+    // One neighbour at a time, so that the compiler vectorises it.
+    row.iter_mut().zip(before).for_each(|(distance, below)| nearer(distance, below + SIDE));
+    row.iter_mut().skip(1).zip(before).for_each(|(distance, left)| nearer(distance, left + DIAGONAL));
+    row.iter_mut().zip(&before[1..]).for_each(|(distance, right)| nearer(distance, right + DIAGONAL));
+}
+
+/// Distances of a row along itself.
+fn propagate_along<'a>(row: impl Iterator<Item = &'a mut f32>) {
+    let mut before = f32::INFINITY;
+    for distance in row {
+        *distance = if before + SIDE < *distance { before + SIDE } else { *distance };
+        before = *distance;
     }
 }
 

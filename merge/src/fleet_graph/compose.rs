@@ -72,6 +72,7 @@ fn corners(header: &GridHeader, frame_from_submap: Pose2) -> [[f64; 2]; 4] {
 /// Adds a submap: at every output cell's centre its nearest cell.
 fn add(submap: GridView<'_>, grid_from_submap: Pose2, resolution_m: f64, sums: &mut [i16], width: usize) {
     let header = submap.header;
+    let (submap_width, submap_height) = (header.width as usize, header.height as usize);
     let to_cells = (grid_from_submap * header.origin).inverse();
     let (sin, cos) = to_cells.yaw_rad.sin_cos();
     let step = resolution_m / header.resolution_m;
@@ -86,11 +87,20 @@ fn add(submap: GridView<'_>, grid_from_submap: Pose2, resolution_m: f64, sums: &
         let v = (y as f64 + 0.5) * resolution_m;
         let start = [-sin * v + to_cells.x_m, cos * v + to_cells.y_m]
             .map(|m| m / header.resolution_m + BORDER_BIAS_CELLS);
+        let row = &mut sums[y * width..][..width];
         for x in columns.clone() {
             let u = (x as f64 + 0.5) * step;
-            let (i, j) = ((start[0] + cos * u).floor() as i64, (start[1] + sin * u).floor() as i64);
-            let cell = submap.cell(i, j);
-            let sum = &mut sums[y * width + x];
+            let [i, j] = [start[0] + cos * u, start[1] + sin * u];
+            // Cut off as an integer, a coordinate is rounded down only where it is not negative.
+            if !(i >= 0.0 && j >= 0.0) {
+                continue;
+            }
+            let (i, j) = (i as usize, j as usize);
+            if i >= submap_width || j >= submap_height {
+                continue;
+            }
+            let cell = submap.cells[j * submap_width + i];
+            let sum = &mut row[x];
             *sum = match (cell, *sum) {
                 (UNKNOWN, before) => before,
                 (SWEPT_FREE, _) | (_, SWEPT_FREE_SUM) => SWEPT_FREE_SUM,
