@@ -142,6 +142,39 @@ fn a_narrow_view_leaves_no_ghost_either() {
 }
 
 #[test]
+fn wheels_that_stood_while_another_view_came_do_not_say_where_the_robot_is() {
+    for k in 0..24 {
+        let angle_rad = f64::from(k) * core::f64::consts::TAU / 24.0;
+        let mut drive = Drive::new(two_rooms(), FULL, START);
+        drive.drive(&[(0.15, 0.1, 6.0)]);
+        let (x_m, y_m) = (20.0 + 2.0 * angle_rad.cos(), 1.5 * angle_rad.sin());
+        drive.carry_to(Pose2::new(x_m, y_m, angle_rad));
+        drive.drive(&[(0.0, 0.0, 0.1), (0.15, 0.0, 2.0)]);
+        let (found, _, _) = drive.said[drive.said.len() - 21];
+        assert_eq!(found, TrackingState::Lost, "carried to {x_m:.1}, {y_m:.1}, {angle_rad:.1}");
+        let known = drive.said[60..].iter().filter(|(state, _, _)| *state != TrackingState::Lost).count();
+        assert_eq!(known, 0, "carried to {x_m:.1}, {y_m:.1}, {angle_rad:.1}");
+    }
+}
+
+#[test]
+fn a_robot_that_stood_while_nothing_was_recorded_goes_on_although_somebody_stands_before_it() {
+    for lidar in [FULL, HALF, NARROW] {
+        let mut drive = Drive::new(laboratory(), lidar, START);
+        drive.drive(&[(0.15, 0.1, 6.0)]);
+        let stands = drive.robot.world_from_base;
+        // Legs 0.8 m away that hide a quarter of what 90 degrees see, and a hand's width of motion.
+        let [x, y] = stands.apply([0.8, 0.0]);
+        drive.walls.extend(rectangle(x - 0.15, y - 0.15, x + 0.15, y + 0.15));
+        drive.carry_to(Pose2::new(stands.x_m + 0.02, stands.y_m, stands.yaw_rad));
+        drive.drive(&[(0.0, 0.0, 0.5), (0.0, 0.3, 4.0)]);
+        let lost = drive.said[60..].iter().filter(|(state, _, _)| *state == TrackingState::Lost).count();
+        assert_eq!(lost, 0);
+        assert_eq!(drive.wrong(drive.said[0].2, 0.1), 0);
+    }
+}
+
+#[test]
 fn a_robot_carried_to_another_room_stays_lost_until_it_knows_that_one_better() {
     let mut drive = Drive::new(two_rooms(), FULL, START);
     drive.drive(&round());
