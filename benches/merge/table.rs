@@ -27,11 +27,6 @@ impl Row {
         Self { name: name.into(), value, beside, limit: None, met: true, note: String::new() }
     }
 
-    /// The figure.
-    pub fn value(&self) -> f64 {
-        self.value
-    }
-
     /// Sets the largest value that passes.
     pub fn at_most(self, limit: f64) -> Self {
         Self { met: self.value <= limit, limit: Some(Limit::AtMost(limit)), ..self }

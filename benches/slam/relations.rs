@@ -15,8 +15,8 @@ const ODOMETRY_NEAR_S: f64 = 0.1;
 /// Relations over more than this are revisits, seconds: they can tell systems apart.
 const REVISIT_S: f64 = 30.0;
 
-/// How a line of a trajectory begins whose pose is not in the map's frame; its numbers follow a colon.
-const UNPLACED: &str = "# not placed in the map";
+/// How lines of a trajectory begin whose pose is not known in the map; their numbers follow a colon.
+const UNPLACED: [&str; 2] = ["# not placed in the map", "# lost"];
 
 /// Poses by time, seconds; no time twice.
 pub struct Trajectory {
@@ -37,6 +37,8 @@ pub struct Relation {
 pub struct Errors {
     /// How many.
     pub count: usize,
+    /// Relations to scans that are not placed in the map: they are not compared.
+    pub unplaced: usize,
     /// Mean error of the translation, metres.
     pub mean_m: f64,
     /// The largest.
@@ -83,13 +85,12 @@ impl Trajectory {
             [t, x, y, _, _, _, qz, qw] => Some((t, Pose2::new(x, y, wrap_angle(2.0 * qz.atan2(qw))))),
             _ => None,
         };
-        let unplaced_s =
+        let time_s =
             |line: &str| -> Option<f64> { line.split_once(':')?.1.split_whitespace().next()?.parse().ok() };
         let mut found = Self::new(rows(text, pose, "t x y yaw")?);
-        for line in text.lines().filter(|line| line.starts_with(UNPLACED)) {
-            found
-                .unplaced_s
-                .push(unplaced_s(line).ok_or_else(|| format!("{line}: expected a time after the colon"))?);
+        for line in text.lines().filter(|line| UNPLACED.iter().any(|start| line.starts_with(start))) {
+            let at_s = time_s(line).ok_or_else(|| format!("{line}: expected a time after the colon"))?;
+            found.unplaced_s.push(at_s);
         }
         found.unplaced_s.sort_by(f64::total_cmp);
         Ok(found)
@@ -144,9 +145,6 @@ impl Trajectory {
 
     /// The pose at a time, if it can be told; between scans with odometry's help where there is some.
     fn at(&self, at_s: f64, odometry: Option<&Self>, near_s: f64) -> Option<Pose2> {
-        if !self.is_placed(at_s) {
-            return None;
-        }
         let (scan_s, pose) = self.poses[self.nearest(at_s)];
         if (scan_s - at_s).abs() <= near_s {
             return Some(pose);
@@ -195,6 +193,10 @@ pub fn errors(
     for relation in relations {
         let short = (relation.to_s - relation.from_s).abs() <= REVISIT_S;
         if which == Which::Revisits && short {
+            continue;
+        }
+        if !estimate.is_placed(relation.from_s) || !estimate.is_placed(relation.to_s) {
+            errors.unplaced += 1;
             continue;
         }
         let from = estimate.at(relation.from_s, odometry, near_s);

@@ -4,8 +4,8 @@
 //! jumps ([`FrontEnd::process`] shows the stages). What the back end finds out about the past
 //! only moves that frame in the map.
 
-mod carried;
 mod deskew;
+mod kidnap_check;
 mod local_frame;
 mod motion;
 mod node_builder;
@@ -173,9 +173,9 @@ impl FrontEnd {
         let prediction = self.predict(scan, continuous_from_base);
         // Take the robot's motion out of the scan, and match it against the local map.
         let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, continuous_from_base);
-        // A robot that stood and sees something else now was carried.
-        let was_carried = self.was_carried(stamp, &cloud, &pose, continuous_from_base);
-        let pose = if was_carried { self.lose(pose) } else { pose };
+        // A robot that stood and sees something else now was carried elsewhere.
+        let is_kidnapped = self.is_kidnapped(stamp, &cloud, &pose, continuous_from_base);
+        let pose = if is_kidnapped { self.mark_kidnapped(pose) } else { pose };
         self.count_unmeasured_time(stamp, &pose, continuous_from_base);
         // Odometry that slipped, or that is back after it was missing, counts from the matched pose.
         self.rebase_odometry(&pose, continuous_from_base);
@@ -183,7 +183,7 @@ impl FrontEnd {
         self.stages.stage_started(Stage::Node);
         self.extend_swept_path(&pose);
         // After enough motion the scan becomes a node of the pose graph.
-        let is_due = self.is_node_due(&pose, &cloud) || was_carried;
+        let is_due = self.is_node_due(&pose, &cloud) || is_kidnapped;
         let node = if is_due {
             self.add_node((scan, &beam_poses), &pose, continuous_from_base, cloud)
         } else {

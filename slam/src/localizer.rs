@@ -148,7 +148,7 @@ impl Localizer {
         self.sigma =
             [self.sigma[0].hypot(step[0] + distance_m * self.sigma[1]), self.sigma[1].hypot(step[1])];
         self.unmatched_m += distance_m;
-        if !node.is_tracked {
+        if !node.is_tracked || node.odometry_break {
             self.kidnap_check = KidnapCheck::Pending { matched: 0, unmatched: 0 };
         }
         let match_result = self.match_to_map(&node, predicted, map);

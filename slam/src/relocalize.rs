@@ -193,8 +193,8 @@ impl Relocalizer {
             .back()
             .map_or(Pose2::IDENTITY, |last| last.local_from_base.between(node.local_from_base));
         self.travelled += moved.x_m.hypot(moved.y_m) + moved.yaw_rad.abs();
-        if !node.is_tracked {
-            // Odometry alone connects this node with those before: earlier results cannot confirm later ones.
+        if !node.is_tracked || node.odometry_break {
+            // At best odometry connects this node with those before: earlier results cannot confirm later ones.
             self.pending.clear();
         }
         if node.odometry_break {

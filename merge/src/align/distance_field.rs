@@ -16,9 +16,9 @@ const MATCH_CELLS_MIN: f32 = 1.5;
 const CONFLICT_CELLS_MIN: f32 = 2.5;
 /// Least [`WallConfig::side_m`], cells: fewer do not tell a side from the other.
 const SIDE_CELLS_MIN: usize = 3;
-/// Distance between the centres of cells that share a side, cells (Borgefors 1986),
+/// Weight of a step to a cell that shares a side, cells (Borgefors 1986).
 const SIDE: f32 = 0.955;
-/// and of cells that share a corner.
+/// Weight of a step to a cell that shares a corner, cells.
 const DIAGONAL: f32 = 1.3693;
 
 /// Distance to the nearest wall of one map, in the centred frame of its points.
@@ -84,7 +84,7 @@ impl DistanceField {
             let [u, v] = field.to_cells([f64::from(*x), f64::from(*y)]);
             field.distance[v as usize * width + u as usize] = 0.0;
         }
-        field.propagate_distances();
+        propagate_distances(&mut field.distance, width);
         field.mark_floor(grid);
         field.sum_floor();
         field.wall_sides = field.own_wall_sides();
@@ -94,23 +94,6 @@ impl DistanceField {
     /// Converts a point of the centred frame, metres, to cells of the field.
     pub fn to_cells(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         [(x - self.corner_m[0]) / self.cell_m, (y - self.corner_m[1]) / self.cell_m]
-    }
-
-    /// Propagates distances in two sweeps of a chamfer (Borgefors, "Distance transformations in digital images", 1986):
-    /// within 4 % of the Euclidean distance.
-    fn propagate_distances(&mut self) {
-        let mut before: Option<&mut [f32]> = None;
-        for row in self.distance.chunks_exact_mut(self.width) {
-            before.into_iter().for_each(|before| propagate_from_row(row, before));
-            propagate_along(row.iter_mut());
-            before = Some(row);
-        }
-        let mut before: Option<&mut [f32]> = None;
-        for row in self.distance.chunks_exact_mut(self.width).rev() {
-            before.into_iter().for_each(|before| propagate_from_row(row, before));
-            propagate_along(row.iter_mut().rev());
-            before = Some(row);
-        }
     }
 
     fn mark_floor(&mut self, grid: GridView<'_>) {
@@ -192,6 +175,23 @@ impl DistanceField {
     }
 }
 
+/// Propagates distances in two sweeps of a chamfer (Borgefors, "Distance transformations in digital images", 1986):
+/// within 4 % of the Euclidean distance. `width`: cells of a row, at least one.
+fn propagate_distances(distances: &mut [f32], width: usize) {
+    let mut before: Option<&mut [f32]> = None;
+    for row in distances.chunks_exact_mut(width) {
+        before.into_iter().for_each(|before| propagate_from_row(row, before));
+        propagate_along(row.iter_mut());
+        before = Some(row);
+    }
+    let mut before: Option<&mut [f32]> = None;
+    for row in distances.chunks_exact_mut(width).rev() {
+        before.into_iter().for_each(|before| propagate_from_row(row, before));
+        propagate_along(row.iter_mut().rev());
+        before = Some(row);
+    }
+}
+
 /// Distances of a row from those of the row before it.
 fn propagate_from_row(row: &mut [f32], before: &[f32]) {
     let nearer = |distance: &mut f32, other: f32| {
@@ -222,4 +222,48 @@ fn bounding_box_m(points: &[[f32; 2]]) -> [f64; 4] {
         [hull[0].min(x), hull[1].min(y), hull[2].max(x), hull[3].max(y)]
     });
     if hull[0] <= hull[2] { hull } else { [0.0; 4] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The least way to any wall, step by step until no distance changes.
+    fn least_ways(walls: &[bool], width: usize, reach: f32) -> Vec<f32> {
+        let height = walls.len() / width;
+        let mut ways: Vec<f32> = walls.iter().map(|wall| if *wall { 0.0 } else { reach }).collect();
+        loop {
+            let before = ways.clone();
+            for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+                let rows = y.saturating_sub(1)..(y + 2).min(height);
+                for (v, u) in
+                    rows.flat_map(|v| (x.saturating_sub(1)..(x + 2).min(width)).map(move |u| (v, u)))
+                {
+                    let step = if u != x && v != y { DIAGONAL } else { SIDE };
+                    ways[y * width + x] = ways[y * width + x].min(before[v * width + u] + step);
+                }
+            }
+            if ways == before {
+                return ways;
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn two_sweeps_find_the_least_ways(
+            width in 1_usize..12,
+            rows in 1_usize..10,
+            seeds in prop::collection::vec(0_u8..6, 120),
+        ) {
+            let walls: Vec<bool> = seeds[..width * rows].iter().map(|seed| *seed == 0).collect();
+            let mut distances: Vec<f32> = walls.iter().map(|wall| if *wall { 0.0 } else { 16.0 }).collect();
+            propagate_distances(&mut distances, width);
+            for (found, least) in distances.iter().zip(least_ways(&walls, width, 16.0)) {
+                // Sums of the same steps in another order.
+                prop_assert!((found - least).abs() < 1e-4, "{distances:?}");
+            }
+        }
+    }
 }

@@ -145,6 +145,27 @@ mod tests {
         }
     }
 
+    proptest! {
+        #[test]
+        fn each_cell_is_that_of_the_submap_under_its_centre(
+            (x_m, y_m, yaw_rad, seed) in (-3.0..3.0, -3.0..3.0, -3.0..3.0_f64, any::<u64>()),
+        ) {
+            let placed = PlacedSubmap { grid: submap(seed, 9, 13), frame_from_submap: Pose2::new(x_m, y_m, yaw_rad) };
+            let whole = compose(std::slice::from_ref(&placed)).unwrap();
+            let grid = whole.view();
+            for (y, x) in (0..grid.header.height).flat_map(|y| (0..grid.header.width).map(move |x| (y, x))) {
+                let (x, y) = (i64::from(x), i64::from(y));
+                let [u, v] = placed.frame_from_submap.inverse().apply(grid.centre_m(x, y));
+                // A hair's breadth to each side: on the border of two cells either may be taken.
+                let near = [-1e-5, 0.0, 1e-5].map(|d| {
+                    let (i, j) = placed.grid.view().cell_of([u + d, v + d]);
+                    placed.grid.view().cell(i, j)
+                });
+                prop_assert!(near.contains(&grid.cell(x, y)), "{x} {y}: {near:?}");
+            }
+        }
+    }
+
     #[test]
     fn one_submap_at_the_origin_is_copied() {
         let grid = submap(7, 20, 11);

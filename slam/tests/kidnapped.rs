@@ -1,0 +1,150 @@
+//! A robot that is carried elsewhere is lost at once and found again; one that stood or drove on without scans is neither.
+
+mod common;
+
+use common::drive::{Drive, START, round, two_rooms, wander};
+use common::{FULL, HALF, NARROW, laboratory, rectangle};
+use msg::{Pose2, SlamMode, TrackingState};
+
+#[test]
+fn a_robot_carried_off_within_its_map_is_lost_draws_nothing_and_is_found() {
+    for to in [Pose2::new(1.8, 0.4, 2.0), Pose2::new(0.4, 2.4, -1.4)] {
+        let mut drive = Drive::new(laboratory(), FULL, START);
+        drive.drive(&round());
+        drive.carry_to(to);
+        let carried = drive.said.len();
+        drive.drive(&wander());
+        let world_from_map = drive.said[0].2;
+        assert_eq!(drive.said[carried].0, TrackingState::Lost);
+        assert_eq!(drive.wrong(world_from_map, 0.2), 0, "it said to know where it was, and was wrong");
+        let last = drive.said[drive.said.len() - 1];
+        assert_ne!(last.0, TrackingState::Lost, "not found: {:?}", drive.slam.back_counts());
+        assert_eq!(drive.slam.back_counts().unplaced, 0);
+        // What it saw before it was found is in its place now, and so are all poses.
+        let (ghosts, occupied) = drive.ghosts(world_from_map);
+        assert!(ghosts == 0 && occupied > 500, "{ghosts} of {occupied} cells are no walls");
+        for ((_, pose), (_, _, truth)) in drive.slam.trajectory().zip(&drive.said).skip(carried + 40) {
+            assert!((world_from_map * pose).distance_m(*truth) < 0.2);
+        }
+    }
+}
+
+#[test]
+fn a_narrow_view_leaves_no_ghost_either() {
+    // With 90 degrees and 3.5 m, a wall may look like another for a while.
+    let mut drive = Drive::new(laboratory(), NARROW, START);
+    drive.drive(&round());
+    drive.carry_to(Pose2::new(0.0, 2.0, 3.0));
+    drive.drive(&wander());
+    let world_from_map = drive.said[0].2;
+    let (ghosts, occupied) = drive.ghosts(world_from_map);
+    assert!(ghosts * 50 < occupied, "{ghosts} of {occupied} cells are no walls");
+    let wrong = drive.wrong(world_from_map, 0.25);
+    assert!(wrong < 120, "wrong in {wrong} scans");
+}
+
+#[test]
+fn one_scan_of_another_view_after_a_gap_is_enough_where_both_scans_contradict_each_other() {
+    let mut at_once = 0;
+    for k in 0..24 {
+        let angle_rad = f64::from(k) * core::f64::consts::TAU / 24.0;
+        let mut drive = Drive::new(two_rooms(), FULL, START);
+        drive.drive(&[(0.15, 0.1, 6.0)]);
+        drive.carry_to(Pose2::new(20.0 + 2.0 * angle_rad.cos(), 1.5 * angle_rad.sin(), angle_rad));
+        drive.drive(&[(0.0, 0.0, 0.1)]);
+        if drive.slam.counts().odometry_breaks == 1 {
+            at_once += 1;
+            drive.drive(&[(0.15, 0.0, 2.0)]);
+            let known = |(state, _, _): &&(TrackingState, Pose2, Pose2)| *state != TrackingState::Lost;
+            assert_eq!(drive.said[60..].iter().filter(known).count(), 0, "angle {angle_rad:.1}");
+        }
+    }
+    assert!(at_once >= 10, "{at_once} of 24");
+}
+
+#[test]
+fn a_robot_that_stood_while_nothing_was_recorded_goes_on_although_somebody_stands_before_it() {
+    for lidar in [FULL, HALF, NARROW] {
+        let mut drive = Drive::new(laboratory(), lidar, START);
+        drive.drive(&[(0.15, 0.1, 6.0)]);
+        let stands = drive.robot.world_from_base;
+        // Legs 0.8 m away that hide a quarter of what 90 degrees see, and a hand's width of motion.
+        let [x, y] = stands.apply([0.8, 0.0]);
+        drive.walls.extend(rectangle(x - 0.15, y - 0.15, x + 0.15, y + 0.15));
+        drive.carry_to(Pose2::new(stands.x_m + 0.02, stands.y_m, stands.yaw_rad));
+        drive.drive(&[(0.0, 0.0, 0.5), (0.0, 0.3, 4.0)]);
+        let lost = drive.said[60..].iter().filter(|(state, _, _)| *state == TrackingState::Lost).count();
+        assert_eq!(lost, 0);
+        assert_eq!(drive.wrong(drive.said[0].2, 0.1), 0);
+    }
+}
+
+#[test]
+fn a_robot_kidnapped_in_a_fixed_map_is_found_in_it() {
+    let mut drive = Drive::new(laboratory(), FULL, START);
+    drive.drive(&round());
+    drive.slam.back_mut().set_mode(SlamMode::Localization);
+    drive.drive(&[(0.15, 0.1, 4.0)]);
+    drive.carry_to(Pose2::new(0.4, 2.4, -1.4));
+    let carried = drive.said.len();
+    drive.drive(&wander());
+    assert_eq!(drive.said[carried].0, TrackingState::Lost);
+    assert_eq!(drive.wrong(drive.said[0].2, 0.2), 0, "it said to know where it was, and was wrong");
+    assert_ne!(drive.said[drive.said.len() - 1].0, TrackingState::Lost, "not found");
+}
+
+#[test]
+fn a_robot_that_drove_on_without_scans_goes_on() {
+    for (lidar, turn_rad_s) in [(FULL, 0.0), (FULL, 0.1), (HALF, 0.1), (NARROW, 0.05)] {
+        let mut drive = Drive::new(laboratory(), lidar, START);
+        drive.drive(&[(0.15, 0.1, 6.0)]);
+        for _ in 0..45 {
+            drive.robot.drive(0.13, turn_rad_s, 0.1, &mut drive.noise);
+            drive.slam.add_odometry(&drive.robot.odometry());
+        }
+        drive.drive(&[(0.0, 0.0, 0.5), (0.0, 0.3, 4.0)]);
+        assert_eq!(drive.slam.counts().odometry_breaks, 0);
+        let lost = drive.said[60..].iter().filter(|(state, _, _)| *state == TrackingState::Lost).count();
+        assert_eq!((lost, drive.wrong(drive.said[0].2, 0.1)), (0, 0));
+    }
+}
+
+#[test]
+fn a_robot_carried_to_another_room_stays_lost_until_it_knows_that_one_better() {
+    let mut drive = Drive::new(two_rooms(), FULL, START);
+    drive.drive(&round());
+    let (nodes, carried) = (drive.slam.back_counts().nodes, drive.said.len());
+    drive.carry_to(Pose2::new(18.5, -1.5, 0.3));
+    drive.drive(&wander());
+    let world_from_map = drive.said[0].2;
+    assert!(drive.said[carried..].iter().all(|(state, ..)| *state == TrackingState::Lost));
+    let counts = drive.slam.back_counts();
+    assert!(counts.unplaced > 15 && counts.unplaced < nodes, "{counts:?}");
+    let (ghosts, occupied) = drive.ghosts(world_from_map);
+    assert!(ghosts == 0 && occupied > 500, "{ghosts} of {occupied} cells are no walls");
+    // The larger component is the map in the end: the other one is held back then.
+    for _ in 0..4 {
+        drive.drive(&wander());
+    }
+    let counts = drive.slam.back_counts();
+    assert_eq!(counts.unplaced, nodes, "{counts:?}");
+    let (state, said, truth) = drive.said[drive.said.len() - 1];
+    assert_eq!(state, TrackingState::Tracking);
+    let world_from_map = truth * said.inverse();
+    let (ghosts, occupied) = drive.ghosts(world_from_map);
+    assert!(ghosts * 50 < occupied && occupied > 500, "{ghosts} of {occupied} cells are no walls");
+}
+
+#[test]
+fn a_robot_carried_back_is_found_in_an_unplaced_component() {
+    let mut drive = Drive::new(two_rooms(), FULL, START);
+    drive.drive(&round());
+    let nodes = drive.slam.back_counts().nodes;
+    drive.carry_to(Pose2::new(18.5, -1.5, 0.3));
+    (0..5).for_each(|_| drive.drive(&wander()));
+    assert_eq!(drive.slam.back_counts().unplaced, nodes, "the second room is the map");
+    drive.carry_to(Pose2::new(1.8, 0.4, 2.0));
+    drive.drive(&wander());
+    let components = drive.slam.back().unplaced_component_count();
+    assert_eq!(components, 1, "what it sees now is part of the first room: {:?}", drive.slam.back_counts());
+}
