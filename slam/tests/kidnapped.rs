@@ -1,9 +1,10 @@
 //! A robot that is carried elsewhere is lost at once and found again; one that stood or drove on without scans is neither.
 
 mod common;
+mod drive;
 
-use common::drive::{Drive, START, round, two_rooms, wander};
 use common::{FULL, HALF, NARROW, laboratory, rectangle};
+use drive::{Drive, START, round, two_rooms, wander};
 use msg::{Pose2, SlamMode, TrackingState};
 
 #[test]

@@ -1,9 +1,10 @@
 //! How sure SLAM is of what it says: corridors, the covariance, and clocks that are set back.
 
 mod common;
+mod drive;
 
-use common::drive::{Drive, START, round};
 use common::{FULL, HALF, Lidar, NARROW, cast, laboratory, rectangle};
+use drive::{Drive, START, round};
 use msg::{Pose2, TrackingState};
 
 /// Variances of a pose estimate's covariance along and across a heading.

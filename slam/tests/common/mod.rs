@@ -1,8 +1,6 @@
 //! A tiny flat world for the tests: walls, a LiDAR that casts rays at them, wheels that lie a little.
 #![allow(dead_code)]
 
-pub mod drive;
-
 use msg::{Header, Odometry, Pose2, Scan, Stamp};
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};

@@ -1,6 +1,8 @@
 //! A robot that drives, is carried, and runs SLAM, with what it said of each scan.
 
-use super::{Lidar, Noise, Robot, Wall, cast, laboratory, rectangle};
+#![allow(dead_code)]
+
+use super::common::{Lidar, Noise, Robot, Wall, cast, laboratory, rectangle};
 use msg::grid::{Occupancy, occupancy};
 use msg::{Pose2, TrackingState};
 use slam::{Slam, SlamConfig};
