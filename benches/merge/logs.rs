@@ -153,10 +153,11 @@ pub fn wrong_starts(table: &mut Table, folder: &Path) -> Result<(), Error> {
             let given = if seed == 0 { lines.clone() } else { with_wrong_start(&lines, seed)? };
             std::fs::write(&file, given.join("\n") + "\n")?;
             let starts = format!("known:{}", file.display());
-            let (summary, _, found, known) =
+            let (summary, _, found) =
                 fleet(&starts, false, &logs, &home.join(case.between), &folder.join(case.odometry))?;
             if seed == 0 {
-                surveyed = format!("{:.3} m over {} of {known} relations", found.mean_m, found.count);
+                surveyed =
+                    format!("{:.3} m over {} of {} relations", found.mean_m, found.count, found.known());
                 continue;
             }
             let contradicted = |edge: &serde_json::Value| edge["contradicted"] == true;
@@ -211,13 +212,14 @@ fn merge(
     relations: &Path,
     odometry: &Path,
 ) -> Result<Merged, Error> {
-    let (summary, together, found, known) = fleet("unknown", cut, logs, relations, odometry)?;
+    let (summary, together, found) = fleet("unknown", cut, logs, relations, odometry)?;
     let merged = merged_count(&summary);
     let [wall_s, merge_s] = ["wall_s", "merge_s"].map(|key| summary[key].as_f64().unwrap_or(f64::NAN));
     let closures: u64 =
         summary["edges"].as_array().into_iter().flatten().filter_map(|e| e["closures"].as_u64()).sum();
     let note = format!(
-        "of {known}; {merged} of {} merged, {closures} closures, {wall_s:.1} s, {merge_s:.1} s of it merging",
+        "of {}; {merged} of {} merged, {closures} closures, {wall_s:.1} s, {merge_s:.1} s of it merging",
+        found.known(),
         logs.len()
     );
     let all_merged = merged == logs.len();
@@ -225,15 +227,15 @@ fn merge(
     Ok(Merged { row: Row::new(name, value, found.count as f64).note(note), together, all_merged })
 }
 
-/// Replays the logs of a fleet, with these starts as `--merge` takes them. Returns the summary, the trajectories, the errors of
-/// relations between poses in the merged map (no number where they are too few), and how many could be compared if all poses were in it.
+/// Replays the logs of a fleet, with these starts as `--merge` takes them. Returns the summary, the trajectories, and the errors of
+/// relations between poses in the merged map: no number where they are too few.
 fn fleet(
     starts: &str,
     cut: bool,
     logs: &[PathBuf],
     relations: &Path,
     odometry: &Path,
-) -> Result<(serde_json::Value, Vec<String>, Errors, usize), Error> {
+) -> Result<(serde_json::Value, Vec<String>, Errors), Error> {
     let scratch = tempfile::tempdir()?;
     let summary = replay(logs, &["--merge", starts], scratch.path())?;
     let together = trajectories(scratch.path(), logs.len())?;
@@ -246,11 +248,10 @@ fn fleet(
     // Odometry between kept scans is the same in any frame.
     let odometry = if odometry.is_file() { Some(Trajectory::parse(&unpacked(odometry)?)?) } else { None };
     let mut found = errors(&all, odometry.as_ref(), &relations, Which::All);
-    let known = found.count + found.unplaced;
-    if found.count == 0 || (found.count as f64) < COMPARED_SHARE_MIN * known as f64 {
+    if found.count == 0 || (found.count as f64) < COMPARED_SHARE_MIN * found.known() as f64 {
         found.mean_m = f64::NAN;
     }
-    Ok((summary, together, found, known))
+    Ok((summary, together, found))
 }
 
 fn merged_count(summary: &serde_json::Value) -> usize {

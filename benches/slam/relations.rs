@@ -58,6 +58,14 @@ pub enum Which {
     BothKept,
 }
 
+impl Errors {
+    /// Number of relations that could be compared if all scans were placed in the map.
+    #[allow(dead_code, reason = "the merge bench's: the slam bench counts what is placed itself")]
+    pub fn known(&self) -> usize {
+        self.count + self.unplaced
+    }
+}
+
 impl Relation {
     /// Whether both ends are after this moment.
     pub fn begins_after(&self, begins_s: f64) -> bool {

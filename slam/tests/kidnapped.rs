@@ -69,7 +69,7 @@ fn a_robot_that_stood_while_nothing_was_recorded_goes_on_although_somebody_stand
         let mut drive = Drive::new(laboratory(), lidar, START);
         drive.drive(&[(0.15, 0.1, 6.0)]);
         let stands = drive.robot.world_from_base;
-        // Legs 0.8 m away that hide a quarter of what 90 degrees see, and a hand's width of motion.
+        // Legs 0.8 m away that hide a quarter of what 90 degrees see, and 2 cm of motion.
         let [x, y] = stands.apply([0.8, 0.0]);
         drive.walls.extend(rectangle(x - 0.15, y - 0.15, x + 0.15, y + 0.15));
         drive.carry_to(Pose2::new(stands.x_m + 0.02, stands.y_m, stands.yaw_rad));

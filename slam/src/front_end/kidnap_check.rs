@@ -13,7 +13,7 @@ const STANDING_SPEED_MAX_M_S: f64 = 0.15;
 const MOVED_MAX: [f64; 2] = [1.0, 0.5];
 /// Least share of each scan's points that lie on surfaces of the other one if the robot stood. At the 139 stops of the recorded logs it is 0.36 or more.
 /// Where generated robots were carried out of their view it is 0.17 or less. Cropped to 90°, three of 77 stops of recorded logs are below:
-/// there at most one of the scans sees through points of the other.
+/// there at most one of the scans sees through [`CONTRADICTED_POINTS_MIN`] points of the other.
 const SAME_VIEW_SHARE_MIN: f32 = 0.22;
 /// Each scan has to see through more than this share of the compared points of the other one, and through this many. A person who comes hides
 /// points, and one scan alone sees through those of the person.
