@@ -70,9 +70,13 @@ impl Graph {
         self.covariance_reference_node
     }
 
-    /// Finds the newest node's covariance from its edges to older nodes.
+    /// Finds the newest node's covariance from its edges to older nodes. The first node is the one that covariances are seen from.
     pub fn update_newest_covariance(&mut self) {
         let Some(newest) = self.poses.len().checked_sub(1) else { return };
+        if newest == 0 {
+            self.covariances[0] = Some(PathCovariance::of_reference());
+            return;
+        }
         let errors = self.learned_errors();
         let older = |edge: &Edge| if edge.a as usize == newest { edge.b } else { edge.a };
         let from_older = |edge: &Edge| {
@@ -137,7 +141,7 @@ impl Graph {
             return covariances;
         }
         let mut open = std::collections::BinaryHeap::new();
-        covariances[first as usize] = Some(PathCovariance { covariance: Matrix3::zeros(), odometry_m: 0.0 });
+        covariances[first as usize] = Some(PathCovariance::of_reference());
         open.push((core::cmp::Reverse(0_u64), first));
         while let Some((core::cmp::Reverse(bits), node)) = open.pop() {
             let Some(known) = covariances[node as usize] else { continue };
@@ -197,6 +201,11 @@ impl Graph {
 }
 
 impl PathCovariance {
+    /// The covariance of the node that covariances are seen from.
+    fn of_reference() -> Self {
+        Self { covariance: Matrix3::zeros(), odometry_m: 0.0 }
+    }
+
     /// What the best way makes small: the variance of the position, m².
     fn spread(&self) -> f64 {
         self.covariance[(0, 0)] + self.covariance[(1, 1)]
@@ -250,6 +259,24 @@ mod tests {
             // Measured from the end, the heading's error moves the end sideways.
             let lever = if ends[0] == 0 { 0.0 } else { 10.0 };
             assert!((end[(1, 1)] - 0.0025 - (0.01_f64 * lever).powi(2)).abs() < 1e-3, "{end}");
+        }
+    }
+
+    #[test]
+    fn the_covariance_grows_from_the_first_node_on_before_the_graph_was_ever_solved() {
+        let path = straight_path(11);
+        let mut graph = Graph::new(SlamConfig::default().graph);
+        for (id, pose) in (0..11).zip(path.poses()) {
+            graph.add_node(*pose);
+            let before = path.edges().iter().filter(|edge| edge.b == id);
+            before.for_each(|e| graph.add_edge([e.a, e.b], e.a_from_b, e.information, e.kind, [0.0; 2]));
+            graph.update_newest_covariance();
+        }
+        let at_once: Vec<_> = (0..11).map(|id| graph.covariance(id)).collect();
+        graph.update_covariances(0, [0.0; 2]);
+        assert!(at_once[10][(0, 0)] > 0.0);
+        for (id, covariance) in (0..11).zip(at_once) {
+            assert!((covariance - graph.covariance(id)).norm() < 1e-12, "node {id}");
         }
     }
 
