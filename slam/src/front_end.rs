@@ -174,8 +174,7 @@ impl FrontEnd {
         // Take the robot's motion out of the scan, and match it against the local map.
         let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, continuous_from_base);
         // A robot that stood and sees something else now was carried elsewhere.
-        let is_kidnapped = self.is_kidnapped(stamp, &cloud, &pose, continuous_from_base);
-        let pose = if is_kidnapped { self.mark_kidnapped(pose) } else { pose };
+        let (pose, is_kidnapped) = self.check_for_kidnapping(stamp, &cloud, pose, continuous_from_base);
         self.count_unmeasured_time(stamp, &pose, continuous_from_base);
         // Odometry that slipped, or that is back after it was missing, counts from the matched pose.
         self.rebase_odometry(&pose, continuous_from_base);
@@ -317,6 +316,7 @@ impl FrontEnd {
             disconnected_component: None,
             uncertain_component: None,
             unmeasured_s: 0.0,
+            possibly_kidnapped: false,
             cloud,
             rays: self.scan_buffers.rays(scan, beam_poses, &self.config),
             swept_path: SweptPath::default(),

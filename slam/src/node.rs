@@ -10,6 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::sync::Arc;
 
 /// A scan that entered the pose graph.
+// More than 12 fields: one record of the session file, of which each stage reads a few.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Node {
     /// Nodes count from 0 without gaps: the front end numbers those it makes, the back end those it keeps.
@@ -35,6 +36,9 @@ pub struct Node {
     pub uncertain_component: Option<u32>,
     /// Time since the node before in which neither odometry nor scans measured the motion, seconds.
     pub unmeasured_s: f32,
+    /// Whether neither scans nor odometry came for some seconds since the node before, and the wheels stood: the robot may have been
+    /// carried meanwhile.
+    pub possibly_kidnapped: bool,
     /// Surface points, for matching.
     #[serde(with = "crate::encoding::shared")]
     pub cloud: Arc<Cloud>,

@@ -106,6 +106,19 @@ impl OdometryBuffer {
         self.rejected
     }
 
+    /// The longest time without a message between two stamps, seconds. Of the time before the oldest message of a full buffer nothing is
+    /// known, and it does not count.
+    pub fn longest_silence_s(&self, from: Stamp, to: Stamp) -> f64 {
+        let oldest = self.poses.front().filter(|_| self.poses.len() >= self.config.buffer_len);
+        let from = oldest.map_or(from, |oldest| oldest.header.stamp.clamp(from, to));
+        let (mut longest_s, mut last) = (0.0_f64, from);
+        for stamp in self.poses.iter().map(|o| o.header.stamp).filter(|stamp| (from..to).contains(stamp)) {
+            longest_s = longest_s.max(stamp - last);
+            last = stamp;
+        }
+        longest_s.max(to - last)
+    }
+
     /// The robot's pose in the continuous frame of [`OdometryBuffer::continuous_from_odom`] at a stamp: interpolated, or
     /// extrapolated at the last speed for up to `odometry.extrapolation_max_s`. `None` outside.
     pub fn at(&self, stamp: Stamp) -> Option<Pose2> {
@@ -143,4 +156,38 @@ fn extrapolate(last: &Odometry, ahead_s: f64, max_s: f64) -> Option<Pose2> {
     let distance_m = if moving { last.linear_m_s * ahead_s } else { 0.0 };
     let step = Pose2::new(distance_m * (turn / 2.0).cos(), distance_m * (turn / 2.0).sin(), turn);
     Some(last.odom_from_base * step)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use msg::Header;
+
+    fn at(seconds: f64) -> Stamp {
+        Stamp::from_seconds(seconds)
+    }
+
+    fn buffer_of(stamps_s: &[f64], buffer_len: usize) -> OdometryBuffer {
+        let mut buffer = OdometryBuffer::new(OdometryConfig { buffer_len, ..OdometryConfig::default() });
+        for stamp_s in stamps_s {
+            let header = Header { stamp: at(*stamp_s), ..Header::default() };
+            buffer.push(&Odometry { header, ..Odometry::default() });
+        }
+        buffer
+    }
+
+    #[test]
+    fn the_longest_silence_is_between_two_messages_or_at_an_end() {
+        let buffer = buffer_of(&[1.0, 2.0, 5.0, 6.0], 8);
+        let silence_s = |from_s, to_s| buffer.longest_silence_s(at(from_s), at(to_s));
+        assert_eq!([silence_s(0.5, 6.5), silence_s(5.0, 9.0), silence_s(-3.0, 5.0)], [3.0, 3.0, 4.0]);
+        assert_eq!(silence_s(7.0, 9.0), 2.0);
+        assert_eq!(buffer_of(&[], 8).longest_silence_s(at(0.0), at(9.0)), 9.0);
+    }
+
+    #[test]
+    fn messages_that_a_full_buffer_has_dropped_are_no_silence() {
+        let stamps_s: Vec<f64> = (0..20).map(f64::from).collect();
+        assert_eq!(buffer_of(&stamps_s, 4).longest_silence_s(at(0.0), at(19.0)), 1.0);
+    }
 }

@@ -3,7 +3,7 @@
 mod common;
 mod drive;
 
-use common::{FULL, HALF, NARROW, laboratory, rectangle};
+use common::{FULL, HALF, Lidar, NARROW, Wall, laboratory, rectangle};
 use drive::{Drive, START, round, two_rooms, wander};
 use msg::{Pose2, SlamMode, TrackingState};
 
@@ -107,6 +107,57 @@ fn a_robot_that_drove_on_without_scans_goes_on() {
         assert_eq!(drive.slam.counts().odometry_breaks, 0);
         let lost = drive.said[60..].iter().filter(|(state, _, _)| *state == TrackingState::Lost).count();
         assert_eq!((lost, drive.wrong(drive.said[0].2, 0.1)), (0, 0));
+    }
+}
+
+/// A bare corridor along x whose ends are out of sight.
+fn corridor() -> Vec<Wall> {
+    rectangle(-60.0, -1.2, 60.0, 1.2).to_vec()
+}
+
+#[test]
+fn a_robot_that_may_have_been_carried_along_a_corridor_says_so() {
+    let in_corridor = || Drive::new(corridor(), Lidar { range_max_m: 8.0, ..FULL }, Pose2::IDENTITY);
+    for carried_m in [0.0, 1.0, -2.0] {
+        let mut drive = in_corridor();
+        drive.drive(&[(0.15, 0.0, 6.0)]);
+        let before_m = drive.covariance[0].sqrt();
+        let Pose2 { x_m, y_m, yaw_rad } = drive.robot.world_from_base;
+        drive.carry_to(Pose2::new(x_m + carried_m, y_m, yaw_rad));
+        // The map's frame is told some nodes later.
+        drive.drive(&[(0.15, 0.0, 20.0)]);
+        let (along_m, across_m) = (drive.covariance[0].sqrt(), drive.covariance[3].sqrt());
+        let (_, said, truth) = drive.said[drive.said.len() - 1];
+        let error_m = (drive.said[0].2 * said).distance_m(truth);
+        assert!(before_m < 0.1 && across_m < 0.05, "{before_m} m before, {across_m} m across");
+        assert!(along_m > 1.0 && error_m < 2.0 * along_m, "{along_m} m along, error {error_m} m");
+    }
+    // Pauses of 3 s carry nobody, and neither do those in which odometry tells that it is there.
+    let mut short = in_corridor();
+    short.drive(&[(0.15, 0.0, 6.0)]);
+    short.pause(3.0);
+    short.drive(&[(0.15, 0.0, 20.0)]);
+    assert!(short.covariance[0].sqrt() < 0.3, "{:?}", short.covariance);
+    let mut without_scans = in_corridor();
+    without_scans.drive(&[(0.15, 0.0, 6.0)]);
+    for _ in 0..60 {
+        without_scans.robot.drive(0.0, 0.0, 0.1, &mut without_scans.noise);
+        without_scans.slam.add_odometry(&without_scans.robot.odometry());
+    }
+    without_scans.drive(&[(0.15, 0.0, 20.0)]);
+    assert!(without_scans.covariance[0].sqrt() < 0.3, "{:?}", without_scans.covariance);
+}
+
+#[test]
+fn a_robot_that_stood_in_a_room_without_data_knows_its_place() {
+    for lidar in [FULL, HALF, NARROW] {
+        let mut drive = Drive::new(laboratory(), lidar, START);
+        drive.drive(&[(0.15, 0.1, 6.0)]);
+        drive.pause(10.0);
+        drive.drive(&[(0.15, 0.1, 6.0)]);
+        let [xx, _, _, yy, ..] = drive.covariance;
+        assert!((xx + yy).sqrt() < 0.1, "{xx} {yy}");
+        assert_eq!(drive.wrong(drive.said[0].2, 0.1), 0);
     }
 }
 

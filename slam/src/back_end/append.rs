@@ -11,6 +11,10 @@ use posegraph::information_from_sigmas;
 /// Without odometry, the front end's own motion is this many times as uncertain as odometry would be.
 const UNMEASURED_FACTOR: f64 = 5.0;
 
+/// Standard deviation of the position of a robot that may have been kidnapped, metres: a person carries it some metres, and seldom. Alone it
+/// is less than what takes a part of the path from the map, so that a LiDAR that starts again in a corridor goes on.
+const KIDNAPPED_SIGMA_M: f64 = 1.2;
+
 impl BackEnd {
     /// Appends a node at its pose relative to the node before, with an odometry edge, or at the pose where the robot was
     /// located.
@@ -57,7 +61,8 @@ impl BackEnd {
         let is_measured = node.previous_from_this.is_some();
         let scales = if is_measured { self.odometry_noise.scales() } else { [UNMEASURED_FACTOR; 2] };
         let speed_sigma_m_s = SPEED_SIGMA_SHARE * self.config.odometry.speed_max_m_s;
-        let m = scales[0] * sigmas[0] + speed_sigma_m_s * f64::from(node.unmeasured_s);
+        let kidnapped_sigma_m = if node.possibly_kidnapped { KIDNAPPED_SIGMA_M } else { 0.0 };
+        let m = scales[0] * sigmas[0] + speed_sigma_m_s * f64::from(node.unmeasured_s) + kidnapped_sigma_m;
         let rad = scales[1] * sigmas[1];
         motion_information(moved, m, rad)
     }

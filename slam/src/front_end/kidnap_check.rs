@@ -1,4 +1,6 @@
 //! Check for a kidnapped robot: it was carried while no scan came, its wheels hardly moved, and it sees something else than before.
+//!
+//! A robot that sees the same may have been carried, too, as along a corridor: then only the next scans tell where it is, and odometry does not.
 
 use super::FrontEnd;
 use super::scan_matcher::TrackedPose;
@@ -21,21 +23,29 @@ const CONTRADICTED_SHARE: f32 = 0.25;
 const CONTRADICTED_POINTS_MIN: usize = 5;
 
 impl FrontEnd {
-    /// Whether the robot was kidnapped since the last scan. It was if no scan came for [`KIDNAP_MIN_S`], odometry moved little meanwhile, and the
-    /// new scan, placed at `pose`, and the newest reference contradict each other. Without odometry it is not known.
-    pub(super) fn is_kidnapped(
-        &self,
+    /// Marks the robot as lost if it was kidnapped since the last scan. Returns its pose, and whether it was.
+    pub(super) fn check_for_kidnapping(
+        &mut self,
         stamp: Stamp,
         cloud: &Cloud,
-        pose: &TrackedPose,
+        pose: TrackedPose,
         continuous_from_base: Option<Pose2>,
-    ) -> bool {
+    ) -> (TrackedPose, bool) {
         let Some(last) = self.motion.last.filter(|last| stamp - last.stamp > KIDNAP_MIN_S) else {
-            return false;
+            return (pose, false);
         };
         let moved_m = last.continuous_from_base.zip(continuous_from_base).map(|(a, b)| a.distance_m(b));
-        let stood = moved_m.is_some_and(|m| m < STANDING_SPEED_MAX_M_S * (stamp - last.stamp));
-        let Some(reference) = self.matcher.references.back().filter(|_| stood) else { return false };
+        // Without odometry it is not known whether the robot stood.
+        let stood_for_s = |time_s: f64| moved_m.is_some_and(|m| m < STANDING_SPEED_MAX_M_S * time_s);
+        let silence_s = self.motion.odometry.longest_silence_s(last.stamp, stamp);
+        self.node_builder.possibly_kidnapped |= silence_s > KIDNAP_MIN_S && stood_for_s(silence_s);
+        let is_kidnapped = stood_for_s(stamp - last.stamp) && self.sees_another_view(cloud, &pose);
+        (if is_kidnapped { self.mark_kidnapped(pose) } else { pose }, is_kidnapped)
+    }
+
+    /// Whether a scan, placed at `pose`, and the newest reference contradict each other, which are near each other.
+    fn sees_another_view(&self, cloud: &Cloud, pose: &TrackedPose) -> bool {
+        let Some(reference) = self.matcher.references.back() else { return false };
         let reference_from_now = reference.local_from_base.between(pose.local_from_base);
         let [most_m, most_rad] = MOVED_MAX;
         let is_near = reference_from_now.x_m.hypot(reference_from_now.y_m) < most_m
@@ -44,7 +54,7 @@ impl FrontEnd {
     }
 
     /// Marks the robot as lost, and breaks the path before the next node.
-    pub(super) fn mark_kidnapped(&mut self, pose: TrackedPose) -> TrackedPose {
+    fn mark_kidnapped(&mut self, pose: TrackedPose) -> TrackedPose {
         self.break_path();
         TrackedPose { state: TrackingState::Lost, is_tracked: false, slipped: false, ..pose }
     }

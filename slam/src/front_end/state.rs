@@ -80,6 +80,7 @@ impl FrontEnd {
             last_scan_lost: state.last_scan_lost,
             requested: false,
             unmeasured_s: 0.0,
+            possibly_kidnapped: false,
             swept_path: state.swept_path,
         };
         front.frame.restore_frame_updates(state.frame_updates);

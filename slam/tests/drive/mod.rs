@@ -27,12 +27,15 @@ pub struct Drive {
     pub slam: Slam,
     /// State, `map_from_base` as said, and the truth.
     pub said: Vec<(TrackingState, Pose2, Pose2)>,
+    /// Covariance that it gave with the newest pose: xx, xy, x yaw, yy, y yaw, yaw yaw; m and rad.
+    pub covariance: [f64; 6],
 }
 
 impl Drive {
     pub fn new(walls: Vec<Wall>, lidar: Lidar, start: Pose2) -> Self {
         let slam = Slam::new(SlamConfig::default());
-        Self { walls, lidar, robot: Robot::new(start), noise: Noise::new(3), slam, said: Vec::new() }
+        let (robot, noise) = (Robot::new(start), Noise::new(3));
+        Self { walls, lidar, robot, noise, slam, said: Vec::new(), covariance: [0.0; 6] }
     }
 
     /// Legs of (linear m/s, angular rad/s, seconds) at ten scans a second.
@@ -45,6 +48,7 @@ impl Drive {
                 let scan = cast(&self.walls, &self.lidar, pose, stamp, &mut self.noise);
                 let pose_estimate = self.slam.process(&scan).pose_estimate;
                 self.slam.work();
+                self.covariance = pose_estimate.covariance;
                 self.said.push((pose_estimate.state(), pose_estimate.map_from_base, pose));
             }
         }
@@ -54,6 +58,12 @@ impl Drive {
     pub fn carry_to(&mut self, pose: Pose2) {
         self.robot.world_from_base = pose;
         self.robot.time_s += 5.0;
+    }
+
+    /// It stands, and neither scans nor odometry come for so long.
+    pub fn pause(&mut self, seconds: f64) {
+        self.carry_to(self.robot.world_from_base);
+        self.robot.time_s += seconds - 5.0;
     }
 
     /// Scans that were said to be known, though they were off by more than this.
