@@ -11,8 +11,9 @@ use msg::grid::Occupancy;
 /// Cells that robots reach, and that they could cover, in buffers that it keeps.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Floor {
-    /// Known cells where the centre of a robot can be that is there or drives there.
-    is_reached: Vec<bool>,
+    /// Known cells where the centre of a robot can be that is there or drives there: the number of their connected component, from 1; 0 elsewhere.
+    component: Vec<u8>,
+    components: u8,
     /// Cells where it could be if unknown space is free.
     is_centre: Vec<bool>,
     /// Cells that its body with its margin could cover then.
@@ -30,18 +31,36 @@ impl Floor {
         places_m: impl Iterator<Item = [f64; 2]>,
         is_excluded: impl Fn(usize) -> bool,
     ) {
-        let Self { is_reached, is_centre, is_covered, stack } = self;
-        for cells in [&mut *is_reached, &mut *is_centre, &mut *is_covered] {
+        let Self { component, components, is_centre, is_covered, stack } = self;
+        for cells in [&mut *is_centre, &mut *is_covered] {
             cells.clear();
             cells.resize(map.cell_count(), false);
         }
+        component.clear();
+        component.resize(map.cell_count(), 0);
+        *components = 0;
         let fits = |cell: usize| map.clearance_m(cell) >= clearance_min_m && !is_excluded(cell);
         let is_known = |cell: usize| map.occupancy(cell) == Occupancy::Free && fits(cell);
-        stack.clear();
-        stack.extend(places_m.filter_map(|at_m| map.nearest_cell(at_m, START_SNAP_MAX_M, is_known)));
-        flood(map, stack, is_reached, is_known);
-        stack.extend((0..map.cell_count()).filter(|cell| is_reached[*cell]));
-        flood(map, stack, is_centre, |cell| map.occupancy(cell) != Occupancy::Occupied && fits(cell));
+        for start in places_m.filter_map(|at_m| map.nearest_cell(at_m, START_SNAP_MAX_M, is_known)) {
+            if component[start] == 0 {
+                *components = components.saturating_add(1);
+                flood(map, stack, start, |cell| {
+                    let is_new = component[cell] == 0 && is_known(cell);
+                    if is_new {
+                        component[cell] = *components;
+                    }
+                    is_new
+                });
+            }
+        }
+        let is_possible = |cell: usize| map.occupancy(cell) != Occupancy::Occupied && fits(cell);
+        for start in (0..map.cell_count()).filter(|cell| component[*cell] > 0) {
+            flood(map, stack, start, |cell| {
+                let is_new = !is_centre[cell] && is_possible(cell);
+                is_centre[cell] |= is_new;
+                is_new
+            });
+        }
         self.cover(map, body.radius_m + body.margin_m);
     }
 
@@ -73,7 +92,23 @@ impl Floor {
 
     /// Whether some robot fits in a cell of the map of the last update, and drives there through known space.
     pub(super) fn is_reached(&self, cell: usize) -> bool {
-        self.is_reached.get(cell).is_some_and(|is_reached| *is_reached)
+        self.component(cell) > 0
+    }
+
+    /// Number of the connected component of cells that robots reach, from 1; 0 if none reaches the cell.
+    pub(super) fn component(&self, cell: usize) -> u8 {
+        self.component.get(cell).copied().unwrap_or(0)
+    }
+
+    /// Number of components between which no robot can drive through known space.
+    pub(super) fn components(&self) -> u8 {
+        self.components
+    }
+
+    /// Component that a robot at a place is in; `None` if it stands too far from where a robot fits.
+    pub(super) fn component_near(&self, map: &ClearanceMap, at_m: [f64; 2]) -> Option<u8> {
+        let near = map.nearest_cell(at_m, START_SNAP_MAX_M, |cell| self.is_reached(cell))?;
+        Some(self.component(near))
     }
 
     /// Whether a robot could cover a cell of the map of the last update if unknown space is free.
@@ -82,15 +117,13 @@ impl Floor {
     }
 }
 
-/// Marks the cells on the stack, and all that are connected with them through cells that fit. Empties the stack.
-fn flood(map: &ClearanceMap, stack: &mut Vec<usize>, is_marked: &mut [bool], fits: impl Fn(usize) -> bool) {
-    stack.iter().for_each(|cell| is_marked[*cell] = true);
+/// Calls `mark` with a cell, and with the neighbours of each cell for which it returns true. The stack is empty before and after.
+fn flood(map: &ClearanceMap, stack: &mut Vec<usize>, start: usize, mut mark: impl FnMut(usize) -> bool) {
+    if mark(start) {
+        stack.push(start);
+    }
     while let Some(cell) = stack.pop() {
-        for next in (0..NEIGHBOURS.len()).filter_map(|direction| map.neighbour(cell, direction)) {
-            if !is_marked[next] && fits(next) {
-                is_marked[next] = true;
-                stack.push(next);
-            }
-        }
+        let neighbours = (0..NEIGHBOURS.len()).filter_map(|direction| map.neighbour(cell, direction));
+        stack.extend(neighbours.filter(|next| mark(*next)));
     }
 }

@@ -7,7 +7,7 @@ use super::types::{
     CoordinationInput, CoordinationPhase, GoalPurpose, RobotAvailability, RobotGoal, TimeEstimate,
 };
 use super::views::{Viewpoint, ViewpointSearch};
-use super::{FleetCoordinator, RobotRecord};
+use super::{CoordinationConfig, FleetCoordinator, RobotRecord};
 use crate::geometry::distance_m;
 use msg::ROBOTS_MAX;
 use msg::grid::Occupancy;
@@ -136,13 +136,15 @@ impl FleetCoordinator {
     }
 
     /// Finds viewpoints: with much to see, or if there are none, with little compared with what is known. Without `known_m2` only those with much.
+    ///
+    /// Each component of the floor that robots reach gets its own: what robots see from one of them, those in another one may need to see to
+    /// get out.
     fn find_viewpoints(&mut self, input: &CoordinationInput, known_m2: Option<f64>) {
         let Self { map, buffers, config, unseen, goals, .. } = self;
         let mut views = core::mem::take(&mut buffers.views);
         let mut found = core::mem::take(&mut buffers.viewpoints);
         let mut given_up = core::mem::take(&mut buffers.given_up);
         let floor = &buffers.floor;
-        let is_candidate = |cell: usize| floor.is_reached(cell);
         unseen.mark_given_up(map, &mut given_up);
         let is_opaque = |cell: usize| given_up[cell] || !floor.is_possible(cell);
         // Where robots stand and where they go now are candidates too.
@@ -157,12 +159,26 @@ impl FleetCoordinator {
                 goal.and_then(|goal| map.cell_at(goal.position_m)).filter(|cell| floor.is_reached(*cell));
             [here, goal]
         });
-        let extra: Vec<usize> = places.flatten().filter(|cell| buffers.is_reached(*cell)).collect();
+        let component = |cell: &usize| floor.component_near(map, map.cell_centre_m(*cell));
+        let extra: Vec<(usize, Option<u8>)> = places
+            .flatten()
+            .filter(|cell| buffers.is_reached(*cell))
+            .map(|cell| (cell, component(&cell)))
+            .collect();
         let gains_m2 = [Some(config.gain_min_m2), known_m2.map(|known_m2| config.gain_last_m2(known_m2))];
-        for gain_min_m2 in gains_m2.into_iter().flatten() {
-            views.find(map, config, &is_candidate, &is_opaque, &extra, gain_min_m2, &mut found);
-            if !found.is_empty() {
-                break;
+        found.clear();
+        let viewpoints_max = config.viewpoints_max.div_ceil(usize::from(floor.components()).max(1));
+        let config = CoordinationConfig { viewpoints_max, ..*config };
+        for component in 1..=floor.components() {
+            let is_candidate = |cell: usize| floor.component(cell) == component;
+            let of_component = extra.iter().filter(|(_, of)| *of == Some(component));
+            let extra: Vec<usize> = of_component.map(|(cell, _)| *cell).collect();
+            let before = found.len();
+            for gain_min_m2 in gains_m2.into_iter().flatten() {
+                views.find(map, &config, &is_candidate, &is_opaque, &extra, gain_min_m2, &mut found);
+                if found.len() > before {
+                    break;
+                }
             }
         }
         (buffers.views, buffers.viewpoints, buffers.given_up) = (views, found, given_up);

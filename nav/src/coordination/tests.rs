@@ -43,6 +43,24 @@ fn two_robots_go_to_different_doors() {
 }
 
 #[test]
+fn robots_that_unknown_floor_separates_look_at_it_from_both_sides() {
+    // 0.8 m of an unknown passage lie between the robots. The door is on the side of the first one, and more unknown floor beside the passage.
+    let mut cells = cells();
+    for (x, y) in (104..160).flat_map(|x| (0..80).map(move |y| (x, y))) {
+        let is_passage = (30..50).contains(&y);
+        let known = if x == 159 || ((112..128).contains(&x) && !is_passage) { 100 } else { 0 };
+        let is_unknown = is_passage && ((112..128).contains(&x) || (x < 112 && y < 38));
+        cells[y * 240 + x] = if is_unknown { -1 } else { known };
+    }
+    let robots = [robot(1, 5.0, 2.0), robot(2, 7.2, 2.0)];
+    let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+    coordinator.update(&input(&cells, &robots, 0.0));
+    let goals_m = robots.map(|robot| coordinator.goal(robot.robot).map(|goal| goal.position_m));
+    assert!(goals_m[0].is_some_and(|at_m| at_m[0] < 5.6), "{goals_m:?}");
+    assert!(goals_m[1].is_some_and(|at_m| at_m[0] > 6.4), "{goals_m:?}");
+}
+
+#[test]
 fn only_free_robots_get_goals_and_the_others_tasks_pass_on() {
     let cells = cells();
     let mut robots = [robot(1, 5.8, 2.0), robot(2, 6.4, 2.0)];

@@ -84,7 +84,7 @@ struct Ray(Vec<(i64, i64)>);
 type Gains = [f64; RAYS];
 
 impl ViewpointSearch {
-    /// Chooses viewpoints among passable cells, best first, until the next would show less than `gain_min_m2`.
+    /// Appends viewpoints among passable cells, best first, until the next would show less than `gain_min_m2`.
     ///
     /// `extra` are candidates beside those of the lattice: where robots stand and where they go now.
     /// `is_opaque` says which unknown cells no beam enters, by earlier attempts, or no robot reaches.
@@ -99,7 +99,7 @@ impl ViewpointSearch {
         gain_min_m2: f64,
         found: &mut Vec<Viewpoint>,
     ) {
-        found.clear();
+        let most = found.len() + config.viewpoints_max;
         self.begin(map, config);
         self.candidates.clear();
         self.count_frontiers(map);
@@ -113,7 +113,7 @@ impl ViewpointSearch {
             }
         }
         // Lazy greedy: a gain only falls, so that the best is found if its gain is up to date.
-        while found.len() < config.viewpoints_max {
+        while found.len() < most {
             let best = (0..self.candidates.len())
                 .max_by(|a, b| self.candidates[*a].0.total_cmp(&self.candidates[*b].0).then(b.cmp(a)));
             let Some(best) = best.filter(|best| self.candidates[*best].0 >= gain_min_m2) else { break };
