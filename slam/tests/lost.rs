@@ -51,17 +51,17 @@ fn in_a_corridor_the_covariance_is_long_and_the_state_says_so() {
     assert!(tracking * 50 > room.said.len() * 49, "{tracking} of {}", room.said.len());
 }
 
-/// In a small room the covariance is hardly more than that of the pose in the local map, so it is held against the motion
-/// since a scan a moment ago, of which it is about half the uncertainty: normalised estimation error squared of
-/// (x, y, yaw), whose mean is 3 if it is right (Bar-Shalom, Li, Kirubarajan, "Estimation with
-/// applications to tracking and navigation", 2001, section 5.4).
+/// The error of each pose in the map as seen from the first one, held against the covariance that it was given with: normalised
+/// estimation error squared of (x, y, yaw), whose mean is 3 if it is right (Bar-Shalom, Li, Kirubarajan, "Estimation with
+/// applications to tracking and navigation", 2001, section 5.4). The covariance is that of the best way through the graph, which is
+/// cautious where many ways agree.
 #[test]
 fn the_covariance_is_about_what_the_error_is() {
     for (lidar, low, high) in [(FULL, 0.1, 3.0), (HALF, 0.1, 3.0), (NARROW, 0.1, 3.0)] {
         let lidar = Lidar { sigma_m: 0.03, ..lidar };
         let mut drive = Drive::new(laboratory(), lidar, START);
         let mut nees = Vec::new();
-        let mut before: Option<(Pose2, Pose2, [f64; 6])> = None;
+        let mut first: Option<(Pose2, Pose2)> = None;
         for (linear, angular, seconds) in round() {
             for _ in 0..(seconds * 2.0) as usize {
                 for _ in 0..5 {
@@ -72,17 +72,15 @@ fn the_covariance_is_about_what_the_error_is() {
                 let scan = cast(&drive.walls, &lidar, truth, stamp, &mut drive.noise);
                 let pose_estimate = drive.slam.process(&scan).pose_estimate;
                 drive.slam.work();
-                let now = (pose_estimate.map_from_base, truth, pose_estimate.covariance);
-                let known = pose_estimate.state() != TrackingState::Lost;
-                if let (Some((said, was, covariance)), true) = (before, known) {
-                    let error = was.between(truth).inverse() * said.between(now.0);
-                    // In axes of the robot, both uncertainties together.
-                    let p = [covariance, now.2].map(|c| turned(c, -now.0.yaw_rad));
+                let said = pose_estimate.map_from_base;
+                let (first_said, first_truth) = *first.get_or_insert((said, truth));
+                if pose_estimate.state() != TrackingState::Lost && first_said != said {
+                    // In axes of the robot.
+                    let error = first_truth.between(truth).inverse() * first_said.between(said);
                     let e = nalgebra::Vector3::new(error.x_m, error.y_m, error.yaw_rad);
-                    let inverse = (p[0] + p[1]).try_inverse().unwrap();
+                    let inverse = turned(pose_estimate.covariance, -said.yaw_rad).try_inverse().unwrap();
                     nees.push((e.transpose() * inverse * e).x);
                 }
-                before = known.then_some(now);
             }
         }
         let mean = nees.iter().sum::<f64>() / nees.len() as f64;
