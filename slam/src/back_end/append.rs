@@ -11,8 +11,8 @@ use posegraph::information_from_sigmas;
 /// Without odometry, the front end's own motion is this many times as uncertain as odometry would be.
 const UNMEASURED_FACTOR: f64 = 5.0;
 
-/// Standard deviation of the position of a robot that may have been kidnapped, metres: a person carries it some metres, and seldom. Alone it
-/// is less than what takes a part of the path from the map, so that a LiDAR that starts again in a corridor goes on.
+/// Standard deviation of the position of a robot that may have been kidnapped, metres: a person carries it some metres, and seldom. Along one
+/// axis it is less than what takes a part of the path from the map, so that a LiDAR that starts again in a corridor goes on; along both it is more.
 const KIDNAPPED_SIGMA_M: f64 = 1.2;
 
 impl BackEnd {
