@@ -99,10 +99,7 @@ fn a_robot_that_drove_on_without_scans_goes_on() {
     for (lidar, turn_rad_s) in [(FULL, 0.0), (FULL, 0.1), (HALF, 0.1), (NARROW, 0.05)] {
         let mut drive = Drive::new(laboratory(), lidar, START);
         drive.drive(&[(0.15, 0.1, 6.0)]);
-        for _ in 0..45 {
-            drive.robot.drive(0.13, turn_rad_s, 0.1, &mut drive.noise);
-            drive.slam.add_odometry(&drive.robot.odometry());
-        }
+        drive.drive_without_scans(0.13, turn_rad_s, 4.5);
         drive.drive(&[(0.0, 0.0, 0.5), (0.0, 0.3, 4.0)]);
         assert_eq!(drive.slam.counts().odometry_breaks, 0);
         let lost = drive.said[60..].iter().filter(|(state, _, _)| *state == TrackingState::Lost).count();
@@ -140,10 +137,7 @@ fn a_robot_that_may_have_been_carried_along_a_corridor_says_so() {
     assert!(short.covariance[0].sqrt() < 0.3, "{:?}", short.covariance);
     let mut without_scans = in_corridor();
     without_scans.drive(&[(0.15, 0.0, 6.0)]);
-    for _ in 0..60 {
-        without_scans.robot.drive(0.0, 0.0, 0.1, &mut without_scans.noise);
-        without_scans.slam.add_odometry(&without_scans.robot.odometry());
-    }
+    without_scans.drive_without_scans(0.0, 0.0, 6.0);
     without_scans.drive(&[(0.15, 0.0, 20.0)]);
     assert!(without_scans.covariance[0].sqrt() < 0.3, "{:?}", without_scans.covariance);
 }
@@ -151,13 +145,21 @@ fn a_robot_that_may_have_been_carried_along_a_corridor_says_so() {
 #[test]
 fn a_robot_that_stood_in_a_room_without_data_knows_its_place() {
     for lidar in [FULL, HALF, NARROW] {
-        let mut drive = Drive::new(laboratory(), lidar, START);
-        drive.drive(&[(0.15, 0.1, 6.0)]);
-        drive.pause(10.0);
-        drive.drive(&[(0.15, 0.1, 6.0)]);
-        let [xx, _, _, yy, ..] = drive.covariance;
-        assert!((xx + yy).sqrt() < 0.1, "{xx} {yy}");
-        assert_eq!(drive.wrong(drive.said[0].2, 0.1), 0);
+        let [paused, went_on] = [true, false].map(|pauses| {
+            let mut drive = Drive::new(laboratory(), lidar, START);
+            drive.drive(&[(0.15, 0.1, 6.0)]);
+            drive.pause(if pauses { 10.0 } else { 0.0 });
+            drive.drive(&[(0.15, 0.1, 6.0)]);
+            let sigma_m = |drive: &Drive| (drive.covariance[0] + drive.covariance[3]).sqrt();
+            assert!(sigma_m(&drive) < 0.1, "{:?}", drive.covariance);
+            // The map's frame is told some nodes later.
+            drive.drive(&[(0.15, 0.1, 14.0)]);
+            assert_eq!(drive.slam.back().nodes().iter().any(|node| node.possibly_kidnapped), pauses);
+            assert_eq!(drive.wrong(drive.said[0].2, 0.1), 0);
+            assert!(drive.said.iter().all(|(state, ..)| *state != TrackingState::Lost));
+            sigma_m(&drive)
+        });
+        assert!(paused < 1.1 * went_on, "{paused} m with a pause, {went_on} m without");
     }
 }
 

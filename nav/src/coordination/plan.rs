@@ -7,7 +7,7 @@ use super::types::{
     CoordinationInput, CoordinationPhase, GoalPurpose, RobotAvailability, RobotGoal, TimeEstimate,
 };
 use super::views::{Viewpoint, ViewpointSearch};
-use super::{CoordinationConfig, FleetCoordinator, RobotRecord};
+use super::{FleetCoordinator, RobotRecord};
 use crate::geometry::distance_m;
 use msg::ROBOTS_MAX;
 use msg::grid::Occupancy;
@@ -159,23 +159,20 @@ impl FleetCoordinator {
                 goal.and_then(|goal| map.cell_at(goal.position_m)).filter(|cell| floor.is_reached(*cell));
             [here, goal]
         });
-        let component = |cell: &usize| floor.component_near(map, map.cell_centre_m(*cell));
-        let extra: Vec<(usize, Option<u8>)> = places
-            .flatten()
-            .filter(|cell| buffers.is_reached(*cell))
-            .map(|cell| (cell, component(&cell)))
-            .collect();
+        let with_component = |cell| Some((cell, floor.component_near(map, map.cell_centre_m(cell))?));
+        let reached = places.flatten().filter(|cell| buffers.is_reached(*cell));
+        let extra: Vec<(usize, u8)> = reached.filter_map(with_component).collect();
         let gains_m2 = [Some(config.gain_min_m2), known_m2.map(|known_m2| config.gain_last_m2(known_m2))];
+        let share_max = config.viewpoints_max.div_ceil(usize::from(floor.components()).max(1));
         found.clear();
-        let viewpoints_max = config.viewpoints_max.div_ceil(usize::from(floor.components()).max(1));
-        let config = CoordinationConfig { viewpoints_max, ..*config };
+        views.count_frontiers(map);
         for component in 1..=floor.components() {
             let is_candidate = |cell: usize| floor.component(cell) == component;
-            let of_component = extra.iter().filter(|(_, of)| *of == Some(component));
-            let extra: Vec<usize> = of_component.map(|(cell, _)| *cell).collect();
-            let before = found.len();
+            let extra: Vec<usize> =
+                extra.iter().filter(|(_, of)| *of == component).map(|(cell, _)| *cell).collect();
+            let (before, most) = (found.len(), found.len() + share_max);
             for gain_min_m2 in gains_m2.into_iter().flatten() {
-                views.find(map, &config, &is_candidate, &is_opaque, &extra, gain_min_m2, &mut found);
+                views.find(map, config, &is_candidate, &is_opaque, &extra, gain_min_m2, most, &mut found);
                 if found.len() > before {
                     break;
                 }

@@ -25,7 +25,7 @@ const OPEN_SIDES: [(i64, i64); 2] = [(1, 0), (0, 1)];
 pub(super) struct Viewpoint {
     /// Cell of the clearance map.
     pub(super) cell: usize,
-    /// Area expected to be seen, square metres, which no viewpoint before it shows.
+    /// Area expected to be seen, square metres, which no viewpoint of the same search before it shows.
     pub(super) gain_m2: f64,
     /// First heading of the centre of the sensor, radians, and the angle to turn on from there, radians from 0.
     pub(super) look_rad: f64,
@@ -84,9 +84,9 @@ struct Ray(Vec<(i64, i64)>);
 type Gains = [f64; RAYS];
 
 impl ViewpointSearch {
-    /// Appends viewpoints among passable cells, best first, until the next would show less than `gain_min_m2`.
+    /// Appends viewpoints among passable cells, best first, until the next would show less than `gain_min_m2` or `found` has `found_max`.
     ///
-    /// `extra` are candidates beside those of the lattice: where robots stand and where they go now.
+    /// The frontiers of the map have been counted. `extra` are candidates beside those of the lattice: where robots stand and where they go now.
     /// `is_opaque` says which unknown cells no beam enters, by earlier attempts, or no robot reaches.
     #[expect(clippy::too_many_arguments, reason = "one call, each argument of another kind")]
     pub(super) fn find(
@@ -97,12 +97,11 @@ impl ViewpointSearch {
         is_opaque: &dyn Fn(usize) -> bool,
         extra: &[usize],
         gain_min_m2: f64,
+        found_max: usize,
         found: &mut Vec<Viewpoint>,
     ) {
-        let most = found.len() + config.viewpoints_max;
         self.begin(map, config);
         self.candidates.clear();
-        self.count_frontiers(map);
         let on_lattice: Vec<usize> =
             lattice(map).filter(|cell| is_candidate(*cell) && self.is_near_frontier(map, *cell)).collect();
         for cell in on_lattice.into_iter().chain(extra.iter().copied()) {
@@ -113,7 +112,7 @@ impl ViewpointSearch {
             }
         }
         // Lazy greedy: a gain only falls, so that the best is found if its gain is up to date.
-        while found.len() < most {
+        while found.len() < found_max {
             let best = (0..self.candidates.len())
                 .max_by(|a, b| self.candidates[*a].0.total_cmp(&self.candidates[*b].0).then(b.cmp(a)));
             let Some(best) = best.filter(|best| self.candidates[*best].0 >= gain_min_m2) else { break };
@@ -179,7 +178,8 @@ impl ViewpointSearch {
         }
     }
 
-    fn count_frontiers(&mut self, map: &ClearanceMap) {
+    /// Counts the unknown cells beside free ones, for the searches in this map.
+    pub(super) fn count_frontiers(&mut self, map: &ClearanceMap) {
         let width = map.width() as usize;
         self.frontiers.clear();
         self.frontiers.resize(map.cell_count(), 0);

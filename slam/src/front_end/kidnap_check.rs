@@ -23,7 +23,7 @@ const CONTRADICTED_SHARE: f32 = 0.25;
 const CONTRADICTED_POINTS_MIN: usize = 5;
 
 impl FrontEnd {
-    /// Marks the robot as lost if it was kidnapped since the last scan. Returns its pose, and whether it was.
+    /// Marks the robot as lost if it was kidnapped since the last scan, and records if it may have been. Returns its pose, and whether it was.
     pub(super) fn check_for_kidnapping(
         &mut self,
         stamp: Stamp,

@@ -54,16 +54,23 @@ impl Drive {
         }
     }
 
-    /// Somebody lifts it, for a moment it sees nothing, and puts it down elsewhere.
-    pub fn carry_to(&mut self, pose: Pose2) {
-        self.robot.world_from_base = pose;
-        self.robot.time_s += 5.0;
+    /// Drives for so long while odometry comes and no scan does.
+    pub fn drive_without_scans(&mut self, linear: f64, angular: f64, seconds: f64) {
+        for _ in 0..(seconds * 10.0).round() as usize {
+            self.robot.drive(linear, angular, 0.1, &mut self.noise);
+            self.slam.add_odometry(&self.robot.odometry());
+        }
     }
 
     /// It stands, and neither scans nor odometry come for so long.
     pub fn pause(&mut self, seconds: f64) {
-        self.carry_to(self.robot.world_from_base);
-        self.robot.time_s += seconds - 5.0;
+        self.robot.time_s += seconds;
+    }
+
+    /// Somebody lifts it, for a moment it sees nothing, and puts it down elsewhere.
+    pub fn carry_to(&mut self, pose: Pose2) {
+        self.robot.world_from_base = pose;
+        self.pause(5.0);
     }
 
     /// Scans that were said to be known, though they were off by more than this.
