@@ -35,12 +35,12 @@ const WHEN_WRITTEN: Monotonic = Monotonic(u64::MAX);
 pub struct Feed<L> {
     /// Listener that wakes the feed.
     pub listener: L,
-    pub(super) pass: Box<dyn FnMut() -> Monotonic>,
+    pub(super) step: Box<dyn FnMut() -> Monotonic>,
 }
 
 impl<L> ProcessLoop for Feed<L> {
     fn step(&mut self) -> Monotonic {
-        (self.pass)()
+        (self.step)()
     }
 }
 
@@ -99,14 +99,14 @@ fn demand_scans<P: Ports + 'static, T: Transport + 'static>(
 ) -> FeedResult<P> {
     let mut demand = ScanDemandSender::open(ports, run, ScanPurpose::Viewing)?;
     let (transport, clock, robots) = (transport.clone(), ports.clock(), run.config.fleet.robots);
-    let pass = Box::new(move || {
+    let step = Box::new(move || {
         let now = clock.now();
         let has_subscriber = |robot: &RobotId| transport.has_subscriber(FleetTopic::Scan, *robot);
         demand.update(RobotId::first(robots).filter(has_subscriber), now);
         now.next_multiple(DEMAND_PERIOD)
     });
     // Nobody notifies of a subscription: any channel that is rarely written will do.
-    Ok(Feed { listener: ports.listener(&channel::stats())?, pass })
+    Ok(Feed { listener: ports.listener(&channel::stats())?, step })
 }
 
 /// Passes each message of a channel on.
@@ -114,30 +114,30 @@ pub fn forward<P: Ports, M: Message, T: 'static>(
     ports: &P,
     to: &Rc<T>,
     channel: &Channel<M>,
-    pass: impl Fn(&T, &M) + 'static,
+    handle: impl Fn(&T, &M) + 'static,
 ) -> FeedResult<P> {
     let mut reader = ports.reader(channel)?;
     let to = to.clone();
     when_written(ports, channel, move || {
         while let Some(message) = reader.receive() {
-            pass(&to, &message);
+            handle(&to, &message);
         }
     })
 }
 
-/// Calls `pass` at the start, whenever the channel is written, and every `HISTORY_POLL_PERIOD` if the channel has a
+/// Calls `handle` at the start, whenever the channel is written, and every `HISTORY_POLL_PERIOD` if the channel has a
 /// history: a reader that was opened later gets it without a notification.
 pub fn when_written<P: Ports, M: Message>(
     ports: &P,
     channel: &Channel<M>,
-    mut pass: impl FnMut() + 'static,
+    mut handle: impl FnMut() + 'static,
 ) -> FeedResult<P> {
     let (clock, has_history) = (ports.clock(), channel.row.history > 0);
-    let pass = Box::new(move || {
-        pass();
+    let step = Box::new(move || {
+        handle();
         if has_history { clock.now().next_multiple(HISTORY_POLL_PERIOD) } else { WHEN_WRITTEN }
     });
-    Ok(Feed { listener: ports.listener(channel)?, pass })
+    Ok(Feed { listener: ports.listener(channel)?, step })
 }
 
 /// Publishes a robot's transforms and odometry. Transforms are written after the odometry of the same stamp, and notify.
@@ -181,7 +181,7 @@ fn publish_map<P: Ports, T: Transport + 'static>(
     let (transport, clock) = (transport.clone(), ports.clock());
     let mut grid = DenseMap::default();
     let (mut has_changed, mut due) = (false, Monotonic(0));
-    let pass = Box::new(move || {
+    let step = Box::new(move || {
         has_changed |= reader.poll();
         let now = clock.now();
         if has_changed && now >= due {
@@ -192,7 +192,7 @@ fn publish_map<P: Ports, T: Transport + 'static>(
         }
         if has_changed { due } else { now.next_multiple(MAP_POLL_PERIOD) }
     });
-    Ok(Feed { listener: ports.listener(channel)?, pass })
+    Ok(Feed { listener: ports.listener(channel)?, step })
 }
 
 #[cfg(test)]

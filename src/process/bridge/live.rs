@@ -61,9 +61,9 @@ async fn serve(
 
 /// Starts tasks that call each feed whenever its channel is written or it is due.
 pub fn start_feeds(feeds: Vec<Feed<Listener>>) -> Result<Vec<JoinHandle<()>>, Error> {
-    let passes = feeds.into_iter().map(|Feed { listener, pass }| (listener, pass)).collect();
+    let steps = feeds.into_iter().map(|Feed { listener, step }| (listener, step)).collect();
     let cannot_wait = |why| format!("cannot wait for a channel's notifications: {why}");
-    Ok(event_loop::start(passes).map_err(cannot_wait)?)
+    Ok(event_loop::start(steps).map_err(cannot_wait)?)
 }
 
 /// Returns the socket that the launcher listens on and passes down as standard input.
