@@ -128,16 +128,18 @@ fn a_fleet_removes_what_a_killed_launcher_left() {
     let mut fleet = Fleet::start("up", &["--robots", "1"]);
     fleet.until("a scan", |view| view.robots.first().is_some_and(|robot| robot.scans > 0));
     let killed = fleet.kill();
-    let left = |run: &mr_slam::run::Run| {
+    let left = |run: &mr_slam::run::Run| -> Vec<std::path::PathBuf> {
         let prefix = format!("mrslam_{}_", run.pid);
         let files = std::fs::read_dir("/dev/shm").unwrap().flatten();
-        let files = files.filter(|file| file.file_name().to_string_lossy().starts_with(&prefix)).count();
-        files + usize::from(run.domain.root().exists())
+        let files = files.filter(|file| file.file_name().to_string_lossy().starts_with(&prefix));
+        let root = run.domain.root().to_path_buf();
+        files.map(|file| file.path()).chain(root.exists().then_some(root)).collect()
     };
     // Another test's fleet may have removed it already.
     let ended = Fleet::start("up", &["--robots", "1", "--seconds", "1"]).wait();
     assert!(ended.success);
-    assert_eq!(left(&killed.run), 0);
+    let left = left(&killed.run);
+    assert!(left.is_empty(), "{left:?}");
 }
 
 /// Session of a process: 0 if it was opened outside this PID namespace, where `getsid` has no valid answer. See proc_pid_stat(5).

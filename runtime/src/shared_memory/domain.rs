@@ -4,7 +4,7 @@ use super::failed;
 use crate::held_signals::HeldSignals;
 use crate::ports::ChannelError;
 use crate::runtime_folder::{Forbidden, Lock, check_folder};
-use iceoryx2::node::NodeView;
+use iceoryx2::node::{NodeCleanupFailure, NodeView};
 use iceoryx2::prelude::*;
 use std::collections::BTreeMap;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
@@ -26,6 +26,10 @@ const PROGRESS: &str = "progress";
 const FOLDER: &str = "ipc";
 /// Age after which files without that file are leftovers: it is made first.
 const UNLOCKED_AGE_MAX: Duration = Duration::from_secs(60);
+/// Attempts to remove the files of a dead fleet.
+const REMOVALS_MAX: usize = 20;
+/// Pause between two attempts.
+const REMOVAL_PAUSE: Duration = Duration::from_millis(20);
 
 /// Removes the files of this user's fleets whose launchers are dead. Files of other users stay.
 pub fn remove_leftovers() {
@@ -125,23 +129,45 @@ impl Domain {
         let _ = iceoryx2::node::Node::<ipc::Service>::list(&self.config, |state| {
             if let NodeState::Dead(dead) = state {
                 let id = *dead.id();
-                if let Err(why) = dead.try_remove_stale_resources() {
-                    tracing::warn!("shared memory of the dead process {id:?} stays: {why:?}");
+                match dead.try_remove_stale_resources() {
+                    Ok(()) | Err(NodeCleanupFailure::ResourcesAlreadyCleanedUp) => (),
+                    Err(why @ NodeCleanupFailure::AnotherInstanceIsCleaningUpTheNode) => {
+                        tracing::debug!("shared memory of the dead process {id:?}: {why:?}");
+                    }
+                    Err(why) => tracing::warn!("shared memory of the dead process {id:?} stays: {why:?}"),
                 }
             }
             CallbackProgression::Continue
         });
     }
 
-    /// Removes all files of the run. Call it only when none of its processes lives.
+    /// Removes all files of the run. Call it only when none of its processes lives, observers apart.
+    ///
+    /// An observer that detaches meanwhile still makes files of its own, so that the removal is repeated until nothing is left.
     pub fn remove(&self) {
         self.clean_up_after_the_dead();
-        let _ = std::fs::remove_dir_all(&self.root);
-        for entry in std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
-            if entry.file_name().to_string_lossy().starts_with(&self.prefix) {
-                remove_entry(&entry.path(), entry.file_type().is_ok_and(|kind| kind.is_dir()));
+        for attempt in 0..REMOVALS_MAX {
+            if attempt > 0 {
+                std::thread::sleep(REMOVAL_PAUSE);
             }
+            let files = self.files();
+            if files.is_empty() {
+                return;
+            }
+            files.iter().for_each(|path| remove_entry(path, path.is_dir()));
         }
+        if let [first, ..] = &self.files()[..] {
+            tracing::warn!("{} of a dead fleet could not be removed", first.display());
+        }
+    }
+
+    /// Returns the paths of the run's root and of its files in shared memory, as far as they exist.
+    fn files(&self) -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten();
+        let in_memory =
+            entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(&self.prefix));
+        let root = self.root.exists().then(|| self.root.clone());
+        in_memory.map(|entry| entry.path()).chain(root).collect()
     }
 
     /// Returns the path of the file with the progress of the run's threads; [`Domain::remove`] removes it.
