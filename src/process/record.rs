@@ -258,7 +258,7 @@ impl<P: Ports> Recording<P> {
     /// Does once in a period what is not a channel's.
     fn record_rest(&mut self, now: Monotonic) {
         self.scan_demand.update(RobotId::first(self.robots), now);
-        if let Some(change) = self.operator.as_mut().and_then(OperatorWatch::changed) {
+        while let Some(change) = self.operator.as_mut().and_then(OperatorWatch::changed) {
             let record = move |to: &mut Recorder| match change {
                 OperatorChange::State(state) => to.record_operator(&state, now),
                 OperatorChange::Workload(entries) => to.record_workload(&entries, now),

@@ -45,6 +45,14 @@ impl OperatorWatch {
 fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<OperatorChange>) {
     let (mut newest, mut answers): (Option<serde_json::Value>, usize) = (None, 0);
     while !stop.requested() {
+        // Before the bridge, whose answer may take as long as a short recording. A file that cannot be read is looked at again.
+        let entries = nasa_tlx::read(&run.dir, run.begun).unwrap_or_default();
+        if entries.len() > answers {
+            answers = entries.len();
+            if to_recorder.send(OperatorChange::Workload(entries)).is_err() {
+                return;
+            }
+        }
         if let Ok(state) = control::ask(run, Request::State, PATIENCE) {
             let json = operator_json(&state);
             if newest.as_ref() != Some(&json) {
@@ -52,14 +60,6 @@ fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<OperatorChange>) {
                 if to_recorder.send(OperatorChange::State(state)).is_err() {
                     return;
                 }
-            }
-        }
-        // A file that cannot be read is looked at again.
-        let entries = nasa_tlx::read(&run.dir, run.begun).unwrap_or_default();
-        if entries.len() > answers {
-            answers = entries.len();
-            if to_recorder.send(OperatorChange::Workload(entries)).is_err() {
-                return;
             }
         }
         std::thread::sleep(PERIOD);
