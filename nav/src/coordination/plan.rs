@@ -163,14 +163,16 @@ impl FleetCoordinator {
         let reached = places.flatten().filter(|cell| buffers.is_reached(*cell));
         let extra: Vec<(usize, u8)> = reached.filter_map(with_component).collect();
         let gains_m2 = [Some(config.gain_min_m2), known_m2.map(|known_m2| config.gain_last_m2(known_m2))];
-        let share_max = config.viewpoints_max.div_ceil(usize::from(floor.components()).max(1));
         found.clear();
         views.count_frontiers(map);
         for component in 1..=floor.components() {
             let is_candidate = |cell: usize| floor.component(cell) == component;
             let extra: Vec<usize> =
                 extra.iter().filter(|(_, of)| *of == component).map(|(cell, _)| *cell).collect();
-            let (before, most) = (found.len(), found.len() + share_max);
+            // What the components before leave over is for the others.
+            let still_to_come = usize::from(floor.components() - component) + 1;
+            let share = config.viewpoints_max.saturating_sub(found.len()).div_ceil(still_to_come);
+            let (before, most) = (found.len(), found.len() + share);
             for gain_min_m2 in gains_m2.into_iter().flatten() {
                 views.find(map, config, &is_candidate, &is_opaque, &extra, gain_min_m2, most, &mut found);
                 if found.len() > before {
