@@ -20,7 +20,7 @@ mod words;
 
 use headset::wireless::{Link, LinkChoice, proxy};
 use headset_app::Headset;
-use mr_slam::config::{FleetConfig, World};
+use mr_slam::config::{FleetConfig, RobotSource};
 use mr_slam::observer::Observer;
 use mr_slam::run::Run;
 use reports::{FleetView, RobotView};
@@ -119,7 +119,7 @@ fn measure(link: Link, length: Duration) -> Result<Row, Box<dyn Error>> {
 
 /// Starts a fleet whose robots live in a headset; returns it with its configuration.
 fn start_fleet() -> Result<(fleet::Fleet, FleetConfig), Box<dyn Error>> {
-    let mut config = FleetConfig { world: World::Headset, ..FleetConfig::default() };
+    let mut config = FleetConfig { world: RobotSource::Headset, ..FleetConfig::default() };
     let starts = mr_slam::fleet::room(&config)?.starts(ROBOTS)?;
     config.fleet.starts = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
     config.fleet.robots = ROBOTS;

@@ -6,7 +6,7 @@ pub mod browser;
 use crate::launcher;
 use crate::measure::{Figures, Punctual, Streams};
 use bridge::command::{Registration, name};
-use bridge::frame::{Frame, Parser, Side};
+use bridge::frame::{Parser, RosTcpFrame, Side};
 use bridge::ros;
 use mr_slam::clock::now;
 use mr_slam::observer::Observer;
@@ -210,7 +210,7 @@ impl ReceivedStreams {
         Self { tf: Streams::new(50 * ms), clock: Streams::new(10 * ms), scans: Streams::new(100 * ms) }
     }
 
-    fn record(&mut self, frame: &Frame<'_>, received_ns: u64) {
+    fn record(&mut self, frame: &RosTcpFrame<'_>, received_ns: u64) {
         match frame.name {
             b"/tf" => {
                 let Ok(message) = ros::decode::<ros::TfMessage>(frame.payload) else { return };

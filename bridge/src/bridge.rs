@@ -14,7 +14,7 @@ use crate::command::name;
 use crate::config::{BridgeConfig, ConfigError};
 use crate::core::{ConnectError, Core};
 use crate::fleet_topics::{FleetMessage, FleetTopic};
-use crate::frame::Frame;
+use crate::frame::RosTcpFrame;
 use crate::relay::{RosCommand, RosEvent};
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters};
 use crate::world::{ExternalWorld, WorldInput};
@@ -243,7 +243,7 @@ impl Bridge {
     ///
     /// Frames for clients wait until `flush`, so that a client that sends much is not answered frame by
     /// frame.
-    pub fn receive(&self, client: ClientId, frame: Frame<'_>, now: Monotonic) {
+    pub fn receive(&self, client: ClientId, frame: RosTcpFrame<'_>, now: Monotonic) {
         self.core.borrow_mut().receive(client, frame, now);
         self.pass_commands();
     }

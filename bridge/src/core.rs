@@ -21,7 +21,7 @@ use crate::config::BridgeConfig;
 use crate::drive::velocity_gate::{Velocity, VelocityGate};
 use crate::drive::{DriveArbiter, DriveClient};
 use crate::fleet_topics::{FleetMessage, FleetTopic, FleetTopics};
-use crate::frame::{Frame, Side};
+use crate::frame::{RosTcpFrame, Side};
 use crate::relay::RelayTable;
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
@@ -122,13 +122,13 @@ impl Core {
     }
 
     /// Handles one frame from a client.
-    pub fn receive(&mut self, id: ClientId, frame: Frame<'_>, now: Monotonic) {
+    pub fn receive(&mut self, id: ClientId, frame: RosTcpFrame<'_>, now: Monotonic) {
         self.commands.set_sender(self.sender(id));
         self.receive_frame(id, frame, now);
         self.commands.set_sender(CommandSource::BRIDGE);
     }
 
-    fn receive_frame(&mut self, id: ClientId, frame: Frame<'_>, now: Monotonic) {
+    fn receive_frame(&mut self, id: ClientId, frame: RosTcpFrame<'_>, now: Monotonic) {
         self.router.counted.received += 1;
         self.record_received(Some(id), now);
         if frame.is_keepalive() {

@@ -10,7 +10,7 @@ mod table;
 pub use publisher::{FleetMessage, FleetPublisher, RobotTransformPolicy, TopicSink};
 pub use table::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
 
-use crate::input::{ADD_ZONE, EXPLORE, Input, REMOVE_ZONE};
+use crate::input::{ADD_ZONE, EXPLORE, InputPurpose, REMOVE_ZONE};
 use crate::router::{DEPTH_DEFAULT, Retention, Source, TopicId, TopicRouter, TopicTable};
 use msg::{Monotonic, RobotId, Stamp};
 use ros_messages::OdometrySigmas;
@@ -33,52 +33,52 @@ pub struct FleetTopics {
 
 /// The topics that clients alone publish, and their meaning.
 fn add_input_topics(table: &mut TopicTable, robots: &RobotNames) -> (TopicId, Vec<[TopicId; 2]>) {
-    let mut add = |name: String, message_type: &str, input: Input| {
+    let mut add = |name: String, message_type: &str, input: InputPurpose| {
         table.add(name, message_type, Source::Input(input), Retention { depth: DEPTH_DEFAULT, latch: false })
     };
-    let selected = add("/cmd_vel".into(), Twist::TYPE, Input::SelectedCommand);
+    let selected = add("/cmd_vel".into(), Twist::TYPE, InputPurpose::SelectedCommand);
     let mut velocity = Vec::with_capacity(robots.count());
-    add("/initialpose".into(), PoseWithCovarianceStamped::TYPE, Input::InitialPose(None));
+    add("/initialpose".into(), PoseWithCovarianceStamped::TYPE, InputPurpose::InitialPose(None));
     for robot in robots.robots() {
-        let numbered = add(format!("/cmd_vel_{}", robot.number()), Twist::TYPE, Input::Command(robot));
+        let numbered = add(format!("/cmd_vel_{}", robot.number()), Twist::TYPE, InputPurpose::Command(robot));
         // The names of a robot with plain ones are those above.
         if robots.is_plain() {
             velocity.push([numbered, selected]);
             continue;
         }
-        let own = add(robots.topic(robot, "cmd_vel"), Twist::TYPE, Input::Command(robot));
+        let own = add(robots.topic(robot, "cmd_vel"), Twist::TYPE, InputPurpose::Command(robot));
         velocity.push([numbered, own]);
         let name = robots.topic(robot, "initialpose");
-        add(name, PoseWithCovarianceStamped::TYPE, Input::InitialPose(Some(robot)));
+        add(name, PoseWithCovarianceStamped::TYPE, InputPurpose::InitialPose(Some(robot)));
     }
     for robot in robots.robots() {
         if !robots.is_plain() {
-            add(robots.topic(robot, "goal_pose"), PoseStamped::TYPE, Input::Goal(Some(robot)));
+            add(robots.topic(robot, "goal_pose"), PoseStamped::TYPE, InputPurpose::Goal(Some(robot)));
         }
-        add(robots.topic(robot, "waypoints"), PathMessage::TYPE, Input::Waypoints(robot));
-        add(robots.topic(robot, "cancel_navigation"), Empty::TYPE, Input::CancelNavigation(robot));
-        add(robots.topic(robot, "resume_navigation"), Empty::TYPE, Input::ResumeNavigation(robot));
+        add(robots.topic(robot, "waypoints"), PathMessage::TYPE, InputPurpose::Waypoints(robot));
+        add(robots.topic(robot, "cancel_navigation"), Empty::TYPE, InputPurpose::CancelNavigation(robot));
+        add(robots.topic(robot, "resume_navigation"), Empty::TYPE, InputPurpose::ResumeNavigation(robot));
     }
-    add("/quest/joystick".into(), Joy::TYPE, Input::Joystick);
-    add("/q2r_right_hand_inputs".into(), HandInputs::TYPE, Input::HandInputs);
-    add(EXPLORE.into(), Bool::TYPE, Input::Explore);
-    add(ADD_ZONE.into(), PolygonStamped::TYPE, Input::AddZone);
-    add(REMOVE_ZONE.into(), Int32::TYPE, Input::RemoveZone);
-    add("/take_control".into(), Int32::TYPE, Input::TakeControl);
-    add("/emergency_stop_release".into(), Empty::TYPE, Input::ReleaseStop);
-    add("/merge_edge_command".into(), Text::TYPE, Input::MergeEdge);
+    add("/quest/joystick".into(), Joy::TYPE, InputPurpose::Joystick);
+    add("/q2r_right_hand_inputs".into(), HandInputs::TYPE, InputPurpose::HandInputs);
+    add(EXPLORE.into(), Bool::TYPE, InputPurpose::Explore);
+    add(ADD_ZONE.into(), PolygonStamped::TYPE, InputPurpose::AddZone);
+    add(REMOVE_ZONE.into(), Int32::TYPE, InputPurpose::RemoveZone);
+    add("/take_control".into(), Int32::TYPE, InputPurpose::TakeControl);
+    add("/emergency_stop_release".into(), Empty::TYPE, InputPurpose::ReleaseStop);
+    add("/merge_edge_command".into(), Text::TYPE, InputPurpose::MergeEdge);
     (selected, velocity)
 }
 
 /// Returns who may publish a topic of the table: a few are clients' as well as the fleet's.
 fn source(topic: FleetTopic, robot: RobotId, is_external: bool) -> Source {
     match topic {
-        FleetTopic::Transforms => Source::Input(Input::Transforms),
-        FleetTopic::SelectedRobot => Source::Input(Input::SelectRobot),
-        FleetTopic::EmergencyStop => Source::Input(Input::EmergencyStop),
-        FleetTopic::Scan if is_external => Source::Input(Input::Scan(robot)),
-        FleetTopic::Odometry if is_external => Source::Input(Input::Odometry(robot)),
-        FleetTopic::Clock if is_external => Source::Input(Input::Clock),
+        FleetTopic::Transforms => Source::Input(InputPurpose::Transforms),
+        FleetTopic::SelectedRobot => Source::Input(InputPurpose::SelectRobot),
+        FleetTopic::EmergencyStop => Source::Input(InputPurpose::EmergencyStop),
+        FleetTopic::Scan if is_external => Source::Input(InputPurpose::Scan(robot)),
+        FleetTopic::Odometry if is_external => Source::Input(InputPurpose::Odometry(robot)),
+        FleetTopic::Clock if is_external => Source::Input(InputPurpose::Clock),
         _ => Source::Fleet,
     }
 }

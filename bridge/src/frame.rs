@@ -38,16 +38,16 @@ pub enum FrameError {
     },
 }
 
-/// One frame, borrowed from its parser.
+/// One frame of the ros_tcp protocol, borrowed from its parser; no coordinate frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Frame<'a> {
+pub struct RosTcpFrame<'a> {
     /// The name without trailing NULs. It may be invalid UTF-8.
     pub name: &'a [u8],
     /// The payload as sent.
     pub payload: &'a [u8],
 }
 
-impl<'a> Frame<'a> {
+impl<'a> RosTcpFrame<'a> {
     /// Returns whether the frame is a keepalive: it has no name.
     pub fn is_keepalive(&self) -> bool {
         self.name.is_empty()
@@ -238,7 +238,7 @@ impl Parser {
     }
 
     /// Returns the next whole frame, or `None` if it needs more bytes.
-    pub fn next_frame(&mut self) -> Result<Option<Frame<'_>>, FrameError> {
+    pub fn next_frame(&mut self) -> Result<Option<RosTcpFrame<'_>>, FrameError> {
         let Some(name_announced) = self.length_at(0) else { return Ok(None) };
         let name_length = name_announced as usize;
         if name_length > NAME_MAX {
@@ -255,7 +255,7 @@ impl Parser {
             return Ok(None);
         }
         self.begin = payload.end;
-        Ok(Some(Frame { name: without_nuls(&self.buffer[name]), payload: &self.buffer[payload] }))
+        Ok(Some(RosTcpFrame { name: without_nuls(&self.buffer[name]), payload: &self.buffer[payload] }))
     }
 }
 

@@ -14,9 +14,9 @@ pub const ADD_ZONE: &str = "/exclusion_zones/add";
 /// The topic on which exclusion zones are removed.
 pub const REMOVE_ZONE: &str = "/exclusion_zones/remove";
 
-/// The meaning of a message from a client or from DDS.
+/// What the fleet does with the messages of a topic, from a client or from DDS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Input {
+pub enum InputPurpose {
     /// A velocity for the selected robot.
     SelectedCommand,
     /// A velocity for one robot.

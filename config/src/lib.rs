@@ -25,7 +25,7 @@ use std::path::Path;
 #[serde(default, deny_unknown_fields)]
 pub struct FleetConfig {
     /// Source of robots, scans and time: `simulator`, `headset` or `ros`.
-    pub world: World,
+    pub world: RobotSource,
     /// Robots, their room and their starts, and the TCP port.
     pub fleet: Fleet,
     /// Simulated robot: LiDAR, noise and speed limits of a TurtleBot3 Burger.
@@ -50,7 +50,7 @@ impl Default for FleetConfig {
     /// Returns the configuration of three simulated TurtleBot3 Burgers.
     fn default() -> Self {
         Self {
-            world: World::Simulator,
+            world: RobotSource::Simulator,
             fleet: Fleet::default(),
             sim: sim::SimConfig::default(),
             slam: burger_slam(),
@@ -67,7 +67,7 @@ impl Default for FleetConfig {
 /// Source of robots, scans and time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
-pub enum World {
+pub enum RobotSource {
     /// The built-in simulators, one for each robot.
     #[default]
     Simulator,
@@ -80,7 +80,7 @@ pub enum World {
     Robots,
 }
 
-impl World {
+impl RobotSource {
     /// Returns whether the world is not simulated here.
     pub fn is_external(self) -> bool {
         self != Self::Simulator
@@ -247,7 +247,7 @@ impl FleetConfig {
     /// Checks ranges and keys that depend on each other.
     pub fn check(&self) -> Result<(), ValueError> {
         self.fleet.check()?;
-        if self.world == World::Ros && !self.bridge.dds.enabled {
+        if self.world == RobotSource::Ros && !self.bridge.dds.enabled {
             return Err(ValueError::RosWithoutDds);
         }
         self.sim.validate()?;
@@ -263,7 +263,7 @@ impl FleetConfig {
     /// Returns every process of the fleet with its row of the table, in the order in which they are started.
     pub fn processes(&self) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
         // Robots on other machines have their SLAM there.
-        let has_slam = self.world != World::Robots;
+        let has_slam = self.world != RobotSource::Robots;
         processes::of_fleet(self.fleet.robots, self.world.is_external(), self.recording.enabled)
             .filter(move |(row, _)| has_slam || row.role != Role::Slam)
     }
@@ -271,10 +271,10 @@ impl FleetConfig {
     /// Returns the room's name, or the source of the world, for people.
     pub fn world_name(&self) -> &str {
         match self.world {
-            World::Simulator => &self.fleet.room,
-            World::Headset => "the world of a headset",
-            World::Ros => "a world over ROS 2",
-            World::Robots => "robots on other machines",
+            RobotSource::Simulator => &self.fleet.room,
+            RobotSource::Headset => "the world of a headset",
+            RobotSource::Ros => "a world over ROS 2",
+            RobotSource::Robots => "robots on other machines",
         }
     }
 

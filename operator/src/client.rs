@@ -4,7 +4,7 @@
 //! [`ClientHandle`] writes from any thread, each message as one frame in one write.
 
 use bridge::command::{Handshake, Notice, Registration, TopicList, name};
-use bridge::frame::{Frame, KEEPALIVE, Parser, Side};
+use bridge::frame::{KEEPALIVE, Parser, RosTcpFrame, Side};
 use bridge::ros::{self, Message};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::io::{self, Read, Write};
@@ -177,7 +177,7 @@ impl Connection {
 }
 
 fn handle_frame(
-    frame: Frame<'_>,
+    frame: RosTcpFrame<'_>,
     received: Instant,
     handshake_done: &mut bool,
     on_event: &mut dyn FnMut(Event<'_>),

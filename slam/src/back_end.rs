@@ -3,10 +3,11 @@
 //! on the nodes alone.
 //!
 //! `links` links a node with older ones, `components` handles those that nothing connects, `loop_closures` remembers
-//! what to search for. `modes` decides what a node is used for; `state` is what a session keeps, `undo` what people
+//! what to search for. `modes` decides what a node is used for; `state` is what a session keeps, `closure_report` what people
 //! take back, `lifelong` what a lasting map removes.
 
 mod append;
+mod closure_report;
 mod component_search;
 mod components;
 mod lifelong;
@@ -22,13 +23,12 @@ mod state;
 #[cfg(test)]
 mod testing;
 mod uncertain_components;
-mod undo;
 
+pub use closure_report::ClosureReport;
 pub use loop_closures::RejectedClosure;
 pub use modes::{InitialPose, PlaceInMap};
 pub use reliability::ReliabilityMonitor;
 pub use state::BackEndState;
-pub use undo::ClosureReport;
 
 use crate::closure::{ClosureCandidate, ClosureSearchCounts, ClosureSearchResult, GraphView};
 use crate::config::SlamConfig;

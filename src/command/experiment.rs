@@ -10,7 +10,7 @@ mod virtual_time;
 use super::fleet_args::{FleetArgs, Starts};
 use super::up;
 use super::{Error, output};
-use crate::config::{FleetConfig, World};
+use crate::config::{FleetConfig, RobotSource};
 use crate::fleet;
 use crate::stop::Stop;
 use headset::wireless::{Link, LinkChoice};
@@ -40,7 +40,7 @@ pub struct ExperimentArgs {
     /// Where the robots live: `simulator`, or `headset`: simulated in a headset's application behind the link
     /// [default: simulator]
     #[arg(long, value_name = "WORLD", value_enum)]
-    pub world: Option<World>,
+    pub world: Option<RobotSource>,
     /// Whether merging knows where the robots start [default: known]
     #[arg(long, value_name = "HOW", value_enum)]
     pub starts: Option<Starts>,
@@ -105,16 +105,16 @@ impl Experiment {
     fn new(args: &ExperimentArgs) -> Result<Self, Error> {
         let mut config = args.fleet().config()?;
         let default_link = match config.world {
-            World::Simulator => LinkChoice::Loopback,
-            World::Headset => LinkChoice::BusyWifi,
-            World::Ros | World::Robots => {
+            RobotSource::Simulator => LinkChoice::Loopback,
+            RobotSource::Headset => LinkChoice::BusyWifi,
+            RobotSource::Ros | RobotSource::Robots => {
                 return Err(
                     "an experiment simulates its own world; expected world = \"simulator\" or \"headset\""
                         .into(),
                 );
             }
         };
-        if config.world == World::Headset && config.fleet.starts.is_empty() {
+        if config.world == RobotSource::Headset && config.fleet.starts.is_empty() {
             // A headset's robots start where the simulators' would.
             let starts = fleet::starts(&config, &fleet::room(&config)?)?;
             config.fleet.starts = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();

@@ -1,6 +1,6 @@
 //! Options that describe a fleet, on top of its file.
 
-use crate::config::{ConfigError, FleetConfig, Mode, World};
+use crate::config::{ConfigError, FleetConfig, Mode, RobotSource};
 use std::path::PathBuf;
 
 /// Fleet to start: its file, and options that override the file.
@@ -25,7 +25,7 @@ pub struct FleetArgs {
     pub room: Option<String>,
     /// Source of robots, scans and time [default: simulator]
     #[arg(long, value_name = "WORLD", value_enum)]
-    pub world: Option<World>,
+    pub world: Option<RobotSource>,
     /// Whether merging knows where the robots start, or has to find out [default: known]
     #[arg(long, value_name = "HOW", value_enum)]
     pub starts: Option<Starts>,
@@ -86,7 +86,7 @@ impl FleetArgs {
         }
         config.world = self.world.unwrap_or(config.world);
         // `--world ros` alone shall work: it enables ROS 2.
-        config.bridge.dds.enabled |= self.world == Some(World::Ros);
+        config.bridge.dds.enabled |= self.world == Some(RobotSource::Ros);
         fleet.explore |= self.explore;
         fleet.seed = self.seed.unwrap_or(fleet.seed);
         fleet.starts_known = self.starts.map_or(fleet.starts_known, |starts| starts == Starts::Known);

@@ -4,7 +4,7 @@
 use super::Error;
 use super::up::{FleetHooks, UpArgs, run_or_detach};
 use crate::clock::now;
-use crate::config::World;
+use crate::config::RobotSource;
 use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
 use crate::run::Run;
 use link_transport::Endpoint;
@@ -184,7 +184,7 @@ pub fn run_base(args: &BaseArgs) -> Result<(), Error> {
         (None, None) => LISTEN_DEFAULT.parse()?,
     };
     let keys = args.protection.check(&endpoint, &KeyOwner::Base)?;
-    up.fleet.world = Some(World::Robots);
+    up.fleet.world = Some(RobotSource::Robots);
     let behind_router = args.router.is_some();
     Ok(run_or_detach(&up, &mut LinkProcess { behind_router, keys, ..LinkProcess::new(endpoint) })?)
 }

@@ -5,7 +5,7 @@ use super::headset::Headset;
 use super::operator::Operator;
 use super::queues::Network;
 use super::tcp::Port;
-use crate::config::World;
+use crate::config::RobotSource;
 use crate::ports::Clock;
 use crate::process::Error;
 use crate::run::Run;
@@ -36,7 +36,7 @@ impl People {
     /// The headset's robots cannot be put into their room.
     pub fn new(network: &Rc<Network>, port: &Rc<Port>, run: &Run, together: bool) -> Result<Self, Error> {
         let has_intruder = network.faults().is_shuffled();
-        let has_headset = run.config.world == World::Headset;
+        let has_headset = run.config.world == RobotSource::Headset;
         Ok(Self {
             operator: Operator::new(network, port, run, together),
             contender: Driver::contender(network, port),

@@ -15,7 +15,7 @@ use super::control::{Control, restore_files};
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, ProcessLoop, external};
 use crate::channel::{self, Channel};
-use crate::config::World;
+use crate::config::RobotSource;
 use crate::ports::{ChannelError, Clock as _, Ports, WritePort};
 use crate::run::Run;
 use crate::storage::Storage;
@@ -182,8 +182,8 @@ fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<(Rc<Bridge>, 
     let config = run.config.bridge_config();
     let bridge = match run.config.world {
         // The link writes what robots on other machines send.
-        World::Simulator | World::Robots => Bridge::new(config, run.config.robot_names(), send)?,
-        World::Headset | World::Ros => {
+        RobotSource::Simulator | RobotSource::Robots => Bridge::new(config, run.config.robot_names(), send)?,
+        RobotSource::Headset | RobotSource::Ros => {
             let (world, epoch) = (external::open_world(ports, run)?, run.epoch);
             Bridge::with_external_world(config, world, move |now| epoch.stamp(now), send)?
         }

@@ -5,7 +5,7 @@ use super::bridge::feeds::{forward, open_feeds};
 use super::bridge::live::{start_feeds, stop_requested};
 use crate::channel;
 use crate::clock::now;
-use crate::config::World;
+use crate::config::RobotSource;
 use crate::event_loop;
 use crate::fleet;
 use crate::progress::WatchedThread;
@@ -41,7 +41,7 @@ pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()
 /// Passes received messages to the bridge, and publishes the time until ROS does.
 async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, queues: Arc<DdsQueues>) {
     // A simulator such as Gazebo publishes /clock; real robots use the time of day.
-    let has_clock = Cell::new(run.config.world != World::Ros);
+    let has_clock = Cell::new(run.config.world != RobotSource::Ros);
     let receive = async {
         loop {
             let event = queues.next_event().await;
@@ -70,7 +70,7 @@ fn serve(run: &Run, stop: &Stop, queues: Arc<DdsQueues>) -> Result<(), Error> {
 async fn serve_feeds(run: &Run, stop: &Stop, queues: Arc<DdsQueues>) -> Result<(), Error> {
     // A participant of its own: ports of shared memory stay on the thread that opened them.
     let participant = run.attach_thread(Role::Bridge, None, "ros2")?;
-    let is_external = run.config.world == World::Ros;
+    let is_external = run.config.world == RobotSource::Ros;
     let robots = run.config.robot_names();
     let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge_config(), robots, is_external, queues)?);
     let mut feeds = open_feeds(&participant, run, &endpoint)?;

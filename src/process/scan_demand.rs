@@ -1,7 +1,7 @@
 //! Demand for scans of robots on other machines: bridge, recorder and navigation send it, the link follows it.
 
 use crate::channel;
-use crate::config::World;
+use crate::config::RobotSource;
 use crate::ports::{ChannelError, Ports, WritePort};
 use crate::run::Run;
 use msg::{Monotonic, RobotId, ScanDemand, ScanPurpose};
@@ -26,7 +26,7 @@ impl<P: Ports> ScanDemandSender<P> {
     /// # Errors
     /// The channel cannot be opened.
     pub fn open(ports: &P, run: &Run, purpose: ScanPurpose) -> Result<Self, ChannelError> {
-        let is_base = run.config.world == World::Robots;
+        let is_base = run.config.world == RobotSource::Robots;
         let writer = is_base.then(|| ports.writer(&channel::scan_demand())).transpose()?;
         Ok(Self { writer, purpose, sent: (0, Monotonic(0)) })
     }

@@ -3,7 +3,7 @@
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, PLAN_RESOLUTION_M, ProcessLoop, serve};
 use crate::channel;
-use crate::config::{FleetConfig, World};
+use crate::config::{FleetConfig, RobotSource};
 use crate::fleet::{self, FleetError};
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
 use crate::progress::WatchedThread;
@@ -51,8 +51,8 @@ fn draw_room_in_background(run: &Run) -> Option<Receiver<Grid>> {
 /// Returns the plan of a simulated room, frame `world`. Other worlds have none.
 pub fn room_plan(config: &FleetConfig) -> Result<Option<Grid>, FleetError> {
     match config.world {
-        World::Simulator => Ok(Some(fleet::room(config)?.floor_plan(PLAN_RESOLUTION_M))),
-        World::Headset | World::Ros | World::Robots => Ok(None),
+        RobotSource::Simulator => Ok(Some(fleet::room(config)?.floor_plan(PLAN_RESOLUTION_M))),
+        RobotSource::Headset | RobotSource::Ros | RobotSource::Robots => Ok(None),
     }
 }
 

@@ -109,7 +109,7 @@ fn lockstep_refuses_an_external_world() {
 
 #[test]
 fn maps_with_known_starts_are_merged_at_their_starts() {
-    let mut config = FleetConfig { world: mr_slam::config::World::Headset, ..FleetConfig::default() };
+    let mut config = FleetConfig { world: mr_slam::config::RobotSource::Headset, ..FleetConfig::default() };
     let known = fleet::known_starts(&config).unwrap();
     assert_eq!(known, [Some(Pose2::IDENTITY), None, None]);
     config.fleet.starts = vec![[1.0, 2.0, 0.5]; 3];

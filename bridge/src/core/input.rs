@@ -7,7 +7,7 @@ use super::world::world_message;
 use crate::access::{Action, PermissionError};
 use crate::command::name;
 use crate::drive::velocity_gate::{GateDecision, Velocity};
-use crate::input::Input;
+use crate::input::InputPurpose;
 use crate::relay::ReceivedMessage;
 use crate::router::{ClientId, Publication, RefusalKind, Source};
 use crate::teleop::Stick;
@@ -108,7 +108,7 @@ impl Core {
         let (input, payload) = (message.input(), message.payload());
         let is_accepted = match Reader::new(payload).map(|from| world_message(input, from)) {
             Err(_) => false,
-            Ok(_) if input == Input::StaticTransforms => {
+            Ok(_) if input == InputPurpose::StaticTransforms => {
                 self.fleet.receive_static_transforms(&mut self.router, payload).is_ok()
             }
             Ok(Some(message)) => self.receive_dds_world(message, now),
@@ -157,59 +157,68 @@ impl Core {
     fn apply_input(
         &mut self,
         id: ClientId,
-        input: Input,
+        input: InputPurpose,
         publication: Publication,
         payload: &[u8],
         now: Monotonic,
     ) -> Result<(), InputError> {
         // Anyone who is not denied may stop the robots, and an idle hand controller needs no permission.
         match input {
-            Input::EmergencyStop => self.check(Action::Stop, id)?,
-            Input::Joystick | Input::HandInputs => {}
+            InputPurpose::EmergencyStop => self.check(Action::Stop, id)?,
+            InputPurpose::Joystick | InputPurpose::HandInputs => {}
             _ => self.check(Action::Drive, id)?,
         }
         match input {
-            Input::SelectedCommand => self.drive(id, self.gate.drive().selected(), publication, payload, now),
-            Input::Command(robot) => self.drive(id, robot, publication, payload, now),
-            Input::Joystick => {
+            InputPurpose::SelectedCommand => {
+                self.drive(id, self.gate.drive().selected(), publication, payload, now)
+            }
+            InputPurpose::Command(robot) => self.drive(id, robot, publication, payload, now),
+            InputPurpose::Joystick => {
                 let stick = Stick::from_joy(&self.decode(payload)?);
                 self.router.forward(publication.topic, payload);
                 self.apply_stick(id, stick, now)
             }
-            Input::HandInputs => {
+            InputPurpose::HandInputs => {
                 let stick = Stick::from_hand(&self.decode(payload)?);
                 self.router.forward(publication.topic, payload);
                 self.apply_stick(id, stick, now)
             }
-            Input::Transforms => self.receive_transforms(id, publication.topic, self.reader(payload)?, now),
-            Input::StaticTransforms => Ok(self.fleet.receive_static_transforms(&mut self.router, payload)?),
-            Input::Scan(_) | Input::Odometry(_) | Input::RobotTransforms(_) | Input::Clock => {
+            InputPurpose::Transforms => {
+                self.receive_transforms(id, publication.topic, self.reader(payload)?, now)
+            }
+            InputPurpose::StaticTransforms => {
+                Ok(self.fleet.receive_static_transforms(&mut self.router, payload)?)
+            }
+            InputPurpose::Scan(_)
+            | InputPurpose::Odometry(_)
+            | InputPurpose::RobotTransforms(_)
+            | InputPurpose::Clock => {
                 let message = world_message(input, self.reader(payload)?);
                 message.map_or(Ok(()), |message| self.receive_world(id, message, now))
             }
-            Input::InitialPose(robot) => {
+            InputPurpose::InitialPose(robot) => {
                 let message = self.decode(payload)?;
                 Ok(self.request_initial_pose(robot, &message)?)
             }
-            Input::SelectRobot => {
+            InputPurpose::SelectRobot => {
                 let robot = self.robot_numbered(self.decode::<Int32>(payload)?)?;
                 self.select(robot);
                 Ok(())
             }
-            Input::TakeControl => self.take_control(id, self.decode::<Int32>(payload)?, now),
-            Input::EmergencyStop => {
+            InputPurpose::TakeControl => self.take_control(id, self.decode::<Int32>(payload)?, now),
+            InputPurpose::EmergencyStop => {
                 // A button that is released sends `false`: that must not release the stop.
                 if self.decode::<Bool>(payload)?.0 {
                     self.set_emergency_stop();
                 }
                 Ok(())
             }
-            Input::ReleaseStop => {
+            InputPurpose::ReleaseStop => {
                 self.decode::<Empty>(payload)?;
                 self.release_emergency_stop();
                 Ok(())
             }
-            Input::MergeEdge => self.queue_edge_command(&self.decode::<Text>(payload)?.0),
+            InputPurpose::MergeEdge => self.queue_edge_command(&self.decode::<Text>(payload)?.0),
             _ => self.apply_navigation_input(input, payload, now),
         }
     }

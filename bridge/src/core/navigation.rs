@@ -4,7 +4,7 @@ use super::Core;
 use super::input::InputError;
 use crate::access::Action;
 use crate::drive::velocity_gate::{GateDecision, Velocity};
-use crate::input::{Input, SHARED_GOAL};
+use crate::input::{InputPurpose, SHARED_GOAL};
 use crate::router::{ClientId, Topic, TopicId};
 use crate::world::{TransformError, floor_pose};
 use msg::{
@@ -78,33 +78,33 @@ impl Core {
     /// Applies a message to the navigator.
     pub(super) fn apply_navigation_input(
         &mut self,
-        input: Input,
+        input: InputPurpose,
         payload: &[u8],
         now: Monotonic,
     ) -> Result<(), InputError> {
         let (robot, action) = match input {
-            Input::Goal(robot) => {
+            InputPurpose::Goal(robot) => {
                 let pose = self.decode(payload)?;
                 return self.accept_goal(robot, &pose, now).map(drop);
             }
-            Input::Waypoints(robot) => {
+            InputPurpose::Waypoints(robot) => {
                 let path = self.decode(payload)?;
                 return self.accept_waypoints(robot, &path, now).map(drop);
             }
-            Input::Explore => {
+            InputPurpose::Explore => {
                 let Bool(starts) = self.decode(payload)?;
                 return self.command_exploration(starts, now);
             }
-            Input::AddZone => {
+            InputPurpose::AddZone => {
                 let polygon = self.decode(payload)?;
                 return self.add_zone(&polygon, now);
             }
-            Input::RemoveZone => {
+            InputPurpose::RemoveZone => {
                 let Int32(number) = self.decode(payload)?;
                 return self.remove_zone(number, now);
             }
-            Input::CancelNavigation(robot) => (robot, NavigationAction::Cancel),
-            Input::ResumeNavigation(robot) => (robot, NavigationAction::Resume),
+            InputPurpose::CancelNavigation(robot) => (robot, NavigationAction::Cancel),
+            InputPurpose::ResumeNavigation(robot) => (robot, NavigationAction::Resume),
             _ => return Ok(()),
         };
         self.decode::<Empty>(payload)?;
@@ -128,7 +128,7 @@ impl Core {
             Err(_) if self.relay.is_open() => return Ok(()),
             checked => checked?,
         }
-        self.apply_navigation_input(Input::Goal(None), payload, now)
+        self.apply_navigation_input(InputPurpose::Goal(None), payload, now)
     }
 
     /// Pauses a robot's navigation if a person's velocity moves it.

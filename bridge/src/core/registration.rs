@@ -3,8 +3,8 @@
 use super::Core;
 use crate::access::{Action, PermissionError};
 use crate::command::{Call, Registration, TopicList, name};
-use crate::frame::Frame;
-use crate::input::Input;
+use crate::frame::RosTcpFrame;
+use crate::input::InputPurpose;
 use crate::router::{ClientId, DEPTH_DEFAULT, ExpectedFrame, Publication, Source, TopicError, TopicId};
 use crate::services::ServiceError;
 use crate::slam_services::NamedService;
@@ -88,7 +88,7 @@ impl Core {
         &mut self,
         id: ClientId,
         command: &str,
-        frame: Frame<'_>,
+        frame: RosTcpFrame<'_>,
         now: Monotonic,
     ) {
         let result = match command {
@@ -309,7 +309,7 @@ impl Core {
     fn accepts_stamped(&self, name: &str) -> bool {
         let topic = self.router.topics.find(name).and_then(|id| self.router.topics.get(id));
         topic.is_some_and(|topic| {
-            matches!(topic.source, Source::Input(Input::Command(_) | Input::SelectedCommand))
+            matches!(topic.source, Source::Input(InputPurpose::Command(_) | InputPurpose::SelectedCommand))
         })
     }
 
@@ -332,6 +332,6 @@ fn is_without_slash(registration: &Registration) -> bool {
     !registration.topic.starts_with('/')
 }
 
-fn parse<T: DeserializeOwned>(frame: Frame<'_>) -> Result<T, RegistrationError> {
+fn parse<T: DeserializeOwned>(frame: RosTcpFrame<'_>) -> Result<T, RegistrationError> {
     Ok(serde_json::from_slice(frame.json())?)
 }

@@ -3,7 +3,7 @@
 use super::Core;
 use super::input::InputError;
 use crate::fleet_topics::FleetTopic;
-use crate::input::Input;
+use crate::input::InputPurpose;
 use crate::router::{ClientId, TopicId};
 use crate::world::{DDS_SOURCE, Incoming, SourceId};
 use msg::Monotonic;
@@ -91,13 +91,13 @@ fn source_of(id: ClientId) -> SourceId {
 }
 
 /// Returns the message to the external world that an input is, if it is one.
-pub(super) fn world_message(input: Input, from: Reader<'_>) -> Option<Incoming<'_>> {
+pub(super) fn world_message(input: InputPurpose, from: Reader<'_>) -> Option<Incoming<'_>> {
     Some(match input {
-        Input::Scan(robot) => Incoming::Scan(robot, from),
-        Input::Transforms => Incoming::Transforms(from),
-        Input::Odometry(robot) => Incoming::Odometry(robot, from),
-        Input::RobotTransforms(robot) => Incoming::RobotTransforms(robot, from),
-        Input::Clock => Incoming::Clock(from),
+        InputPurpose::Scan(robot) => Incoming::Scan(robot, from),
+        InputPurpose::Transforms => Incoming::Transforms(from),
+        InputPurpose::Odometry(robot) => Incoming::Odometry(robot, from),
+        InputPurpose::RobotTransforms(robot) => Incoming::RobotTransforms(robot, from),
+        InputPurpose::Clock => Incoming::Clock(from),
         _ => return None,
     })
 }
@@ -112,7 +112,7 @@ fn is_foreign(transform: &Transform<'_>, robots: &RobotNames) -> bool {
 mod tests {
     use crate::command::{Registration, name};
     use crate::frame::{Parser, Side};
-    use crate::input::Input;
+    use crate::input::InputPurpose;
     use crate::relay::{ReceivedMessage, RosEvent};
     use crate::world::ExternalWorld;
     use crate::{Bridge, BridgeConfig, ClientId};
@@ -169,7 +169,7 @@ mod tests {
         messages
     }
 
-    fn send_from_ros(bridge: &Bridge, input: Input, topic: &str, transforms: Vec<TransformStamped>) {
+    fn send_from_ros(bridge: &Bridge, input: InputPurpose, topic: &str, transforms: Vec<TransformStamped>) {
         let mut payload = Vec::new();
         encode(&TfMessage { transforms }, &mut payload);
         let message = ReceivedMessage::new(input, topic.into(), false, payload);
@@ -184,7 +184,8 @@ mod tests {
     fn fixed_transforms_of_ros_are_one_latched_set_on_tcp() {
         let bridge = bridge();
         let early = subscribe(&bridge, "/tf_static");
-        let send = |transforms| send_from_ros(&bridge, Input::StaticTransforms, "/tf_static", transforms);
+        let send =
+            |transforms| send_from_ros(&bridge, InputPurpose::StaticTransforms, "/tf_static", transforms);
         // Two publishers, each with its own latched message; the newest transform to a frame counts.
         send(vec![transform("base_link", "base_scan", 0.1), transform("base_link", "/camera", 0.2)]);
         send(vec![transform("camera", "camera_optical", 0.3), transform("map", "odom", 9.0)]);
@@ -210,7 +211,7 @@ mod tests {
             transform("odom", "base_footprint", 1.5),
             transform("base_link", "gripper", 0.2),
         ];
-        send_from_ros(&bridge, Input::Transforms, "/tf", transforms);
+        send_from_ros(&bridge, InputPurpose::Transforms, "/tf", transforms);
         let messages = received(&bridge, client, "/tf");
         let of_gripper = messages.iter().flatten().filter(|(_, child, _)| child == "gripper");
         assert_eq!(of_gripper.collect::<Vec<_>>(), [&row("base_link", "gripper", 0.2)]);

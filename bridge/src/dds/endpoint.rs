@@ -9,7 +9,7 @@ use super::services::ServiceRelay;
 use super::writers::TopicWriters;
 use crate::config::{BridgeConfig, DdsConfig};
 use crate::fleet_topics::{FleetMessage, FleetPublisher, FleetTopic, RobotTransformPolicy};
-use crate::input::Input;
+use crate::input::InputPurpose;
 use crate::relay::{ReceivedMessage, RosCommand, RosEvent};
 use crate::transport::Transport;
 use futures::StreamExt;
@@ -280,7 +280,7 @@ impl EndpointState {
 
     fn record(&mut self, message: &ReceivedMessage, writer: GUID) {
         self.writers.count_received();
-        if let Input::SelectedCommand | Input::Command(_) = message.input() {
+        if let InputPurpose::SelectedCommand | InputPurpose::Command(_) = message.input() {
             self.last_driver = Some(writer);
         }
         self.publisher.learn_frames(message.input(), message.payload());

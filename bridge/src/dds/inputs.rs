@@ -1,7 +1,7 @@
 //! The topics that the endpoint subscribes to.
 
 use crate::config::VelocityMessage;
-use crate::input::{ADD_ZONE, EXPLORE, Input, REMOVE_ZONE, SHARED_GOAL};
+use crate::input::{ADD_ZONE, EXPLORE, InputPurpose, REMOVE_ZONE, SHARED_GOAL};
 use crate::relay::ReceivedMessage;
 use ros_messages::{
     Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PathMessage, PolygonStamped, PoseStamped,
@@ -16,13 +16,13 @@ pub struct InputTopic {
     /// ROS type as `package/Type`, such as `sensor_msgs/LaserScan`.
     pub message_type: &'static str,
     /// What the fleet does with the messages.
-    input: Input,
+    input: InputPurpose,
     /// The same topic's name on TCP.
     tcp_topic: String,
 }
 
 impl InputTopic {
-    fn new<M: Message>(name: String, input: Input) -> Self {
+    fn new<M: Message>(name: String, input: InputPurpose) -> Self {
         let tcp_topic = name.strip_suffix("_stamped").unwrap_or(&name).to_owned();
         Self { name, message_type: M::TYPE, input, tcp_topic }
     }
@@ -35,18 +35,18 @@ impl InputTopic {
 
     /// Returns whether a lost message is soon followed by a newer one.
     pub fn is_stream(&self) -> bool {
-        use Input::{Clock, Command, Odometry, Scan, SelectedCommand};
+        use InputPurpose::{Clock, Command, Odometry, Scan, SelectedCommand};
         matches!(self.input, SelectedCommand | Command(_) | Scan(_) | Odometry(_) | Clock)
     }
 
     /// Returns whether the topic has the same name in every namespace.
     pub fn is_global(&self) -> bool {
-        matches!(self.input, Input::Transforms | Input::StaticTransforms | Input::Clock)
+        matches!(self.input, InputPurpose::Transforms | InputPurpose::StaticTransforms | InputPurpose::Clock)
     }
 
     /// Returns whether messages sent before the endpoint started are wanted too (transient local).
     pub fn is_latched(&self) -> bool {
-        self.input == Input::StaticTransforms
+        self.input == InputPurpose::StaticTransforms
     }
 }
 
@@ -72,28 +72,28 @@ pub fn topics(
 /// Robots of an external world subscribe to `/robotN/cmd_vel` themselves, and one with plain names to `/cmd_vel`.
 fn command_topics(robots: &RobotNames, velocity: VelocityMessage, is_external: bool) -> Vec<InputTopic> {
     let mut all = vec![
-        InputTopic::new::<TwistStamped>("/cmd_vel_stamped".into(), Input::SelectedCommand),
-        InputTopic::new::<Int32>("/selected_robot".into(), Input::SelectRobot),
-        InputTopic::new::<Int32>("/take_control".into(), Input::TakeControl),
-        InputTopic::new::<Bool>("/emergency_stop".into(), Input::EmergencyStop),
-        InputTopic::new::<Empty>("/emergency_stop_release".into(), Input::ReleaseStop),
-        InputTopic::new::<Bool>(EXPLORE.into(), Input::Explore),
-        InputTopic::new::<PolygonStamped>(ADD_ZONE.into(), Input::AddZone),
-        InputTopic::new::<Int32>(REMOVE_ZONE.into(), Input::RemoveZone),
-        InputTopic::new::<Text>("/merge_edge_command".into(), Input::MergeEdge),
-        InputTopic::new::<PoseWithCovarianceStamped>("/initialpose".into(), Input::InitialPose(None)),
-        InputTopic::new::<PoseStamped>(SHARED_GOAL.into(), Input::Goal(None)),
+        InputTopic::new::<TwistStamped>("/cmd_vel_stamped".into(), InputPurpose::SelectedCommand),
+        InputTopic::new::<Int32>("/selected_robot".into(), InputPurpose::SelectRobot),
+        InputTopic::new::<Int32>("/take_control".into(), InputPurpose::TakeControl),
+        InputTopic::new::<Bool>("/emergency_stop".into(), InputPurpose::EmergencyStop),
+        InputTopic::new::<Empty>("/emergency_stop_release".into(), InputPurpose::ReleaseStop),
+        InputTopic::new::<Bool>(EXPLORE.into(), InputPurpose::Explore),
+        InputTopic::new::<PolygonStamped>(ADD_ZONE.into(), InputPurpose::AddZone),
+        InputTopic::new::<Int32>(REMOVE_ZONE.into(), InputPurpose::RemoveZone),
+        InputTopic::new::<Text>("/merge_edge_command".into(), InputPurpose::MergeEdge),
+        InputTopic::new::<PoseWithCovarianceStamped>("/initialpose".into(), InputPurpose::InitialPose(None)),
+        InputTopic::new::<PoseStamped>(SHARED_GOAL.into(), InputPurpose::Goal(None)),
     ];
     for robot in robots.robots() {
         let name = |rest: &str| robots.topic(robot, rest);
         if !robots.is_plain() {
-            all.push(InputTopic::new::<PoseStamped>(name("goal_pose"), Input::Goal(Some(robot))));
+            all.push(InputTopic::new::<PoseStamped>(name("goal_pose"), InputPurpose::Goal(Some(robot))));
         }
-        all.push(InputTopic::new::<PathMessage>(name("waypoints"), Input::Waypoints(robot)));
-        all.push(InputTopic::new::<Empty>(name("cancel_navigation"), Input::CancelNavigation(robot)));
-        all.push(InputTopic::new::<Empty>(name("resume_navigation"), Input::ResumeNavigation(robot)));
+        all.push(InputTopic::new::<PathMessage>(name("waypoints"), InputPurpose::Waypoints(robot)));
+        all.push(InputTopic::new::<Empty>(name("cancel_navigation"), InputPurpose::CancelNavigation(robot)));
+        all.push(InputTopic::new::<Empty>(name("resume_navigation"), InputPurpose::ResumeNavigation(robot)));
     }
-    let mut add_velocity = |name: &str, input: Input| {
+    let mut add_velocity = |name: &str, input: InputPurpose| {
         for is_stamped in velocity.is_stamped() {
             all.push(match is_stamped {
                 false => InputTopic::new::<Twist>(name.to_owned(), input),
@@ -102,21 +102,21 @@ fn command_topics(robots: &RobotNames, velocity: VelocityMessage, is_external: b
         }
     };
     if !(is_external && robots.is_plain()) {
-        add_velocity("/cmd_vel", Input::SelectedCommand);
+        add_velocity("/cmd_vel", InputPurpose::SelectedCommand);
     }
     for robot in robots.robots() {
-        add_velocity(&format!("/cmd_vel_{}", robot.number()), Input::Command(robot));
+        add_velocity(&format!("/cmd_vel_{}", robot.number()), InputPurpose::Command(robot));
         if !is_external && !robots.is_plain() {
-            add_velocity(&robots.topic(robot, "cmd_vel"), Input::Command(robot));
+            add_velocity(&robots.topic(robot, "cmd_vel"), InputPurpose::Command(robot));
         }
     }
     // The topics of a robot with plain names are those above.
     for robot in robots.robots().filter(|_| !robots.is_plain()) {
-        let (name, input) = (robots.topic(robot, "initialpose"), Input::InitialPose(Some(robot)));
+        let (name, input) = (robots.topic(robot, "initialpose"), InputPurpose::InitialPose(Some(robot)));
         all.push(InputTopic::new::<PoseWithCovarianceStamped>(name, input));
         if !is_external {
             let name = robots.topic(robot, "cmd_vel_stamped");
-            all.push(InputTopic::new::<TwistStamped>(name, Input::Command(robot)));
+            all.push(InputTopic::new::<TwistStamped>(name, InputPurpose::Command(robot)));
         }
     }
     all
@@ -125,15 +125,18 @@ fn command_topics(robots: &RobotNames, velocity: VelocityMessage, is_external: b
 /// Returns the topics of robots of an external world.
 fn world_topics(robots: &RobotNames) -> Vec<InputTopic> {
     let mut all = vec![
-        InputTopic::new::<TfMessage>("/tf".into(), Input::Transforms),
-        InputTopic::new::<TfMessage>("/tf_static".into(), Input::StaticTransforms),
-        InputTopic::new::<Clock>("/clock".into(), Input::Clock),
+        InputTopic::new::<TfMessage>("/tf".into(), InputPurpose::Transforms),
+        InputTopic::new::<TfMessage>("/tf_static".into(), InputPurpose::StaticTransforms),
+        InputTopic::new::<Clock>("/clock".into(), InputPurpose::Clock),
     ];
     for robot in robots.robots() {
-        all.push(InputTopic::new::<LaserScan>(robots.topic(robot, "scan"), Input::Scan(robot)));
-        all.push(InputTopic::new::<Odometry>(robots.topic(robot, "odom"), Input::Odometry(robot)));
+        all.push(InputTopic::new::<LaserScan>(robots.topic(robot, "scan"), InputPurpose::Scan(robot)));
+        all.push(InputTopic::new::<Odometry>(robots.topic(robot, "odom"), InputPurpose::Odometry(robot)));
         if !robots.is_plain() {
-            all.push(InputTopic::new::<TfMessage>(robots.topic(robot, "tf"), Input::RobotTransforms(robot)));
+            all.push(InputTopic::new::<TfMessage>(
+                robots.topic(robot, "tf"),
+                InputPurpose::RobotTransforms(robot),
+            ));
         }
     }
     all

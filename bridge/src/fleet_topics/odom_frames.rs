@@ -1,6 +1,6 @@
 //! The frames that external robots call `odom`, as their own messages say, so that map -> odom joins their trees.
 
-use crate::input::Input;
+use crate::input::InputPurpose;
 use msg::{RobotFrame, RobotId};
 use ros_messages::RobotNames;
 use ros_messages::cdr::Reader;
@@ -41,22 +41,22 @@ impl OdomFrames {
     }
 
     /// Takes the frames' names from a robot's message. What cannot be read names nothing.
-    pub fn learn(&mut self, names: &RobotNames, input: Input, payload: &[u8]) {
+    pub fn learn(&mut self, names: &RobotNames, input: InputPurpose, payload: &[u8]) {
         let Ok(mut from) = Reader::new(payload) else { return };
         match input {
-            Input::Odometry(robot) => {
+            InputPurpose::Odometry(robot) => {
                 if let Ok(odometry) = read::odometry(&mut from) {
                     self.set(robot, odometry.frame_id, Source::Odometry);
                 }
             }
-            Input::Transforms => {
+            InputPurpose::Transforms => {
                 let _ = read::transforms(&mut from, |transform| {
                     if let Some(robot) = robot_of_odometry(names, &transform) {
                         self.set(robot, transform.frame_id, Source::Transforms);
                     }
                 });
             }
-            Input::RobotTransforms(robot) => {
+            InputPurpose::RobotTransforms(robot) => {
                 let _ = read::transforms(&mut from, |transform| {
                     let frame = |name| names.parse_frame_of(robot, name);
                     if is_odometry(frame(transform.frame_id), frame(transform.child_frame_id)) {
@@ -131,12 +131,12 @@ mod tests {
         let names = RobotNames::from(3);
         let mut frames = OdomFrames::new(3);
         assert_eq!(frames.of(robot(1)), None);
-        frames.learn(&names, Input::Odometry(robot(1)), &odometry("odom"));
+        frames.learn(&names, InputPurpose::Odometry(robot(1)), &odometry("odom"));
         assert_eq!(frames.of(robot(1)), Some(("odom", false)), "no other robot has it");
-        frames.learn(&names, Input::RobotTransforms(robot(2)), &transform("odom", "base_footprint"));
+        frames.learn(&names, InputPurpose::RobotTransforms(robot(2)), &transform("odom", "base_footprint"));
         assert_eq!(frames.of(robot(1)), Some(("odom", true)));
         assert_eq!(frames.of(robot(2)), Some(("odom", true)));
-        frames.learn(&names, Input::Transforms, &transform("robot3/odom", "robot3/base_link"));
+        frames.learn(&names, InputPurpose::Transforms, &transform("robot3/odom", "robot3/base_link"));
         assert_eq!(frames.of(robot(3)), Some(("robot3/odom", false)));
     }
 
@@ -144,11 +144,11 @@ mod tests {
     fn transforms_count_more_than_odometry_and_other_frames_are_ignored() {
         let names = RobotNames::from(1);
         let mut frames = OdomFrames::new(1);
-        frames.learn(&names, Input::Transforms, &transform("odom_1", "base_footprint_1"));
-        frames.learn(&names, Input::Odometry(robot(1)), &odometry("odom"));
-        frames.learn(&names, Input::Transforms, &transform("map", "odom_1"));
-        frames.learn(&names, Input::Transforms, &transform("base_footprint_1", "base_link_1"));
-        frames.learn(&names, Input::Transforms, b"junk");
+        frames.learn(&names, InputPurpose::Transforms, &transform("odom_1", "base_footprint_1"));
+        frames.learn(&names, InputPurpose::Odometry(robot(1)), &odometry("odom"));
+        frames.learn(&names, InputPurpose::Transforms, &transform("map", "odom_1"));
+        frames.learn(&names, InputPurpose::Transforms, &transform("base_footprint_1", "base_link_1"));
+        frames.learn(&names, InputPurpose::Transforms, b"junk");
         assert_eq!(frames.of(robot(1)), Some(("odom_1", false)));
     }
 }

@@ -9,7 +9,7 @@ use super::changed_tiles::ChangedTileFinder;
 use super::odom_frames::OdomFrames;
 use super::static_transforms::StaticTransformSet;
 use super::table::FleetTopic;
-use crate::input::Input;
+use crate::input::InputPurpose;
 use crate::repeater::{PoseEstimateRepeater, Repetition};
 use json::{exploration_json, navigation_json, zones_json};
 use msg::{
@@ -171,7 +171,7 @@ impl FleetPublisher {
     }
 
     /// Takes the names of an external robot's frames from its message.
-    pub fn learn_frames(&mut self, input: Input, payload: &[u8]) {
+    pub fn learn_frames(&mut self, input: InputPurpose, payload: &[u8]) {
         if let Some(frames) = self.repeated.as_mut().and_then(|repeated| repeated.frames.as_mut()) {
             frames.learn(&self.robots, input, payload);
         }

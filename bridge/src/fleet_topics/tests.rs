@@ -1,7 +1,7 @@
 //! Repeated transforms map -> odom, and the topics and frames on which external robots get them.
 
 use super::*;
-use crate::input::Input;
+use crate::input::InputPurpose;
 use crate::repeater::Repetition;
 use msg::{Header, MapTransform, MapTransforms, Pose2, PoseEstimate, TrackingState};
 use ros_messages::OdometrySigmas;
@@ -107,7 +107,7 @@ fn the_whole_chain_is_repeated_and_dated_ahead() {
 fn external_robots_get_map_to_odom_in_their_own_tree() {
     let answer = pose_estimate(TrackingState::Tracking);
     // The transforms of both robots at the answer, after these messages of theirs.
-    let chains = |messages: &[(Input, Vec<u8>)]| {
+    let chains = |messages: &[(InputPurpose, Vec<u8>)]| {
         let (mut publisher, mut sent) = (publisher(RobotTransformPolicy::ByRobots), Sent::default());
         messages.iter().for_each(|(input, payload)| publisher.learn_frames(*input, payload));
         [1, 2].iter().for_each(|number| publisher.receive_pose_estimate(robot(*number), &answer, ms(0)));
@@ -116,14 +116,15 @@ fn external_robots_get_map_to_odom_in_their_own_tree() {
     };
     assert!(chains(&[]).is_empty(), "no robot has named its frames: nothing is invented");
     let odometry = payload(&Odometry { frame_id: "odom".into(), ..Odometry::default() });
-    let first = (Input::Odometry(robot(1)), odometry);
+    let first = (InputPurpose::Odometry(robot(1)), odometry);
     assert_eq!(chains(std::slice::from_ref(&first)), ["/tf: 5200 map_1 -> odom"]);
     let transform = TransformStamped {
         frame_id: "odom".into(),
         child_frame_id: "base_footprint".into(),
         ..TransformStamped::default()
     };
-    let second = (Input::RobotTransforms(robot(2)), payload(&TfMessage { transforms: vec![transform] }));
+    let second =
+        (InputPurpose::RobotTransforms(robot(2)), payload(&TfMessage { transforms: vec![transform] }));
     let expected = ["/robot1/tf: 5200 map_1 -> odom", "/robot2/tf: 5200 map_2 -> odom"];
     assert_eq!(chains(&[first, second]), expected, "both call it odom");
 }

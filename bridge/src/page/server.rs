@@ -13,7 +13,7 @@ use super::tlx::{self, SaveTlx};
 use crate::bridge::Bridge;
 use crate::config::PageConfig;
 use crate::connection::{Stream, accept_connections, close_gently};
-use crate::frame::Frame;
+use crate::frame::RosTcpFrame;
 use crate::router::ClientId;
 use msg::Monotonic;
 use std::cell::RefCell;
@@ -333,7 +333,7 @@ impl<S: Stream> Connection<'_, S> {
             Message::Text(text) => {
                 let frames = self.session.receive_text(&text, &mut self.encoder.borrow_mut())?;
                 for frame in frames {
-                    let frame = Frame { name: frame.name.as_bytes(), payload: &frame.payload };
+                    let frame = RosTcpFrame { name: frame.name.as_bytes(), payload: &frame.payload };
                     bridge.receive(self.id, frame, now);
                 }
                 let status = || bridge.fleet_status(self.id, now);
@@ -350,20 +350,20 @@ impl<S: Stream> Connection<'_, S> {
                         bridge.report_event(format!("self-check of {}: {text}", self.peer.ip()));
                     }
                     Some(ClientData::Message { topic, payload }) => {
-                        bridge.receive(self.id, Frame { name: topic.as_bytes(), payload }, now);
+                        bridge.receive(self.id, RosTcpFrame { name: topic.as_bytes(), payload }, now);
                     }
                     Some(ClientData::Call { commands, service, payload }) => {
                         for OwnedFrame { name, payload } in &commands {
-                            bridge.receive(self.id, Frame { name: name.as_bytes(), payload }, now);
+                            bridge.receive(self.id, RosTcpFrame { name: name.as_bytes(), payload }, now);
                         }
-                        bridge.receive(self.id, Frame { name: service.as_bytes(), payload }, now);
+                        bridge.receive(self.id, RosTcpFrame { name: service.as_bytes(), payload }, now);
                     }
                     None => {}
                 }
             }
             // Answers to pings: the client lives.
             Message::Ping(_) | Message::Pong(_) => {
-                bridge.receive(self.id, Frame { name: b"", payload: b"" }, now);
+                bridge.receive(self.id, RosTcpFrame { name: b"", payload: b"" }, now);
             }
             Message::Close(_) => self.has_closed = true,
             Message::Frame(_) => {}

@@ -1,11 +1,11 @@
 //! A message from DDS for the fleet.
 
-use crate::input::Input;
+use crate::input::InputPurpose;
 
 /// A message from DDS on a topic of the fleet, not decoded yet.
 #[derive(Clone, Debug)]
 pub struct ReceivedMessage {
-    input: Input,
+    input: InputPurpose,
     topic: String,
     is_stamped: bool,
     payload: Vec<u8>,
@@ -13,17 +13,17 @@ pub struct ReceivedMessage {
 
 impl ReceivedMessage {
     /// Creates a message; the parameters are what the methods return.
-    pub(crate) fn new(input: Input, topic: String, is_stamped: bool, payload: Vec<u8>) -> Self {
+    pub(crate) fn new(input: InputPurpose, topic: String, is_stamped: bool, payload: Vec<u8>) -> Self {
         Self { input, topic, is_stamped, payload }
     }
 
     /// Returns whether the message is the time of an external world.
     pub fn is_clock(&self) -> bool {
-        self.input == Input::Clock
+        self.input == InputPurpose::Clock
     }
 
     /// Returns what the fleet does with the message.
-    pub(crate) fn input(&self) -> Input {
+    pub(crate) fn input(&self) -> InputPurpose {
         self.input
     }
 

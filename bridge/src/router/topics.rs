@@ -3,7 +3,7 @@
 use super::buffers::SharedFrame;
 use super::client::ClientId;
 use super::link::Urgency;
-use crate::input::Input;
+use crate::input::InputPurpose;
 use std::collections::BTreeMap;
 use thiserror::Error;
 
@@ -21,7 +21,7 @@ pub enum Source {
     /// The fleet alone.
     Fleet,
     /// Clients; the fleet interprets their messages.
-    Input(Input),
+    Input(InputPurpose),
     /// Clients; the messages are forwarded to other clients.
     Clients,
 }

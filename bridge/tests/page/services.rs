@@ -3,7 +3,7 @@
 use crate::Served;
 use crate::browser::{Browser, Response, WAIT_MAX};
 use bridge::command::{Registration, name};
-use bridge::frame::Frame;
+use bridge::frame::RosTcpFrame;
 use bridge::{Bridge, BridgeConfig, ClientId, Permission};
 use msg::{Monotonic, RobotId, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse};
 use std::sync::mpsc::{Receiver, channel};
@@ -46,7 +46,7 @@ fn offer(bridge: &Bridge, service: &str) -> ClientId {
     let (topic, message_name) = (service.to_owned(), "std_srvs/Trigger".to_owned());
     let body = Registration { topic, message_name, ..Registration::default() };
     let payload = serde_json::to_vec(&body).unwrap();
-    let frame = Frame { name: name::UNITY_SERVICE.as_bytes(), payload: &payload };
+    let frame = RosTcpFrame { name: name::UNITY_SERVICE.as_bytes(), payload: &payload };
     bridge.receive(provider, frame, Monotonic(0));
     provider
 }

@@ -3,7 +3,7 @@
 use crate::Served;
 use crate::browser::{Browser, WAIT_MAX};
 use bridge::command::{Registration, name};
-use bridge::frame::{Frame, Parser};
+use bridge::frame::{Parser, RosTcpFrame};
 use bridge::ros::{Text, Twist};
 use bridge::{Bridge, BridgeConfig, FleetMessage};
 use bytemuck::Zeroable;
@@ -86,7 +86,11 @@ fn a_browser_gets_the_bytes_that_a_client_on_tcp_gets() {
         let (topic, message_name) = ("/robot1/scan".to_owned(), "sensor_msgs/LaserScan".to_owned());
         let registration = Registration { topic, message_name, ..Registration::default() };
         let payload = serde_json::to_vec(&registration).unwrap();
-        bridge.receive(client, Frame { name: name::SUBSCRIBE.as_bytes(), payload: &payload }, Monotonic(0));
+        bridge.receive(
+            client,
+            RosTcpFrame { name: name::SUBSCRIBE.as_bytes(), payload: &payload },
+            Monotonic(0),
+        );
         publish_scan(bridge, 7_000_000_001);
         let mut bytes = Vec::new();
         bridge.take_outgoing(client, &mut bytes).unwrap();

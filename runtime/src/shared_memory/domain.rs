@@ -164,8 +164,7 @@ impl Domain {
     /// Returns the paths of the run's root and of its files in shared memory, as far as they exist.
     fn files(&self) -> Vec<PathBuf> {
         let entries = std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten();
-        let in_memory =
-            entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(&self.prefix));
+        let in_memory = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(&self.prefix));
         let root = self.root.exists().then(|| self.root.clone());
         in_memory.map(|entry| entry.path()).chain(root).collect()
     }

@@ -6,7 +6,7 @@ use crate::command::Error;
 use crate::command::demo::OperatorProcess;
 use crate::command::fleet_args::FleetArgs;
 use crate::command::up::{self, FleetHooks, Report, UpArgs};
-use crate::config::{FleetConfig, World};
+use crate::config::{FleetConfig, RobotSource};
 use crate::fleet;
 use crate::run::Run;
 use crate::stop::Stop;
@@ -43,7 +43,7 @@ pub fn run(
         robots: None,
         headset: None,
     };
-    if config.world == World::Headset {
+    if config.world == RobotSource::Headset {
         people.robots = Some(fleet::headset_robots(config)?);
     }
     let mut report = up::run(&session, &mut people, stop)?;

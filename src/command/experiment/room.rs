@@ -1,6 +1,6 @@
 //! Comparison of the merged map with the room in which a headset's robots are: only the experiment knows that room.
 
-use crate::config::{FleetConfig, World};
+use crate::config::{FleetConfig, RobotSource};
 use crate::fleet::{self, FleetError};
 use crate::process::PLAN_RESOLUTION_M;
 use msg::{GridView, Pose2};
@@ -15,7 +15,7 @@ pub const MERGED_MAP: &str = "merged_map";
 /// # Errors
 /// The room, or the robots' starts in it, cannot be used.
 pub fn compare(view: &mut FleetView, map: GridView<'_>, config: &FleetConfig) -> Result<(), FleetError> {
-    if config.world != World::Headset {
+    if config.world != RobotSource::Headset {
         return Ok(());
     }
     let room = fleet::room(config)?;

@@ -5,7 +5,7 @@ use super::session::Session;
 use crate::command::Error;
 use crate::command::up::system::add_system;
 use crate::command::up::{Paper, Report};
-use crate::config::{FleetConfig, World};
+use crate::config::{FleetConfig, RobotSource};
 use crate::process::record::description::machine;
 use headset::wireless::LinkChoice;
 use reports::FleetView;
@@ -159,13 +159,13 @@ impl Results {
             sessions.iter().partition(|session| session.number <= args.sessions);
         let quantity = |(name, digits, paper, _): &(&str, usize, Option<f64>, Figure)| {
             let of_session = |session: &&Session| session.figures.get(*name).copied().flatten();
-            let is_compared = *name == JITTER && world == World::Headset;
+            let is_compared = *name == JITTER && world == RobotSource::Headset;
             let paper = if is_compared { Some(PAPER_JITTER_MS) } else { *paper };
             let quantity = Quantity::new(name, *digits, paper, counted.iter().map(of_session).collect());
             Quantity { additional: additional.first().and_then(of_session), ..quantity }
         };
         Self {
-            world: if world == World::Headset { "headset" } else { "simulator" }.into(),
+            world: if world == RobotSource::Headset { "headset" } else { "simulator" }.into(),
             sessions: counted.len(),
             seconds: args.seconds,
             virtual_time: args.fast,

@@ -4,7 +4,7 @@ use super::Experiment;
 use super::room::{self, MERGED_MAP};
 use crate::command::up::{Pictures, Report, ScanRates};
 use crate::command::{Error, output};
-use crate::config::{FleetConfig, World};
+use crate::config::{FleetConfig, RobotSource};
 use crate::lockstep::Lockstep;
 use crate::stop::Stop;
 use msg::{MapTransforms, RobotId, VelocityCommand};
@@ -56,7 +56,7 @@ pub fn run(
     let mut fleet = Lockstep::behind_link(config, experiment.link)?;
     let (mut seen, mut series, mut rates) = (Seen::default(), Series::default(), ScanRates::default());
     let mut view: Option<FleetView> = None;
-    let robots_are_behind_link = config.world == World::Headset && !experiment.link.is_transparent();
+    let robots_are_behind_link = config.world == RobotSource::Headset && !experiment.link.is_transparent();
     for second in 0..seconds {
         for _ in 0..TICKS_PER_S {
             fleet.tick(&mut |channel, message| seen.receive(channel, message));

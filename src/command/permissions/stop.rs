@@ -2,7 +2,7 @@
 
 use super::{PATIENCE, PermissionError, StopArgs};
 use crate::command::output;
-use crate::config::World;
+use crate::config::RobotSource;
 use crate::control::{self, AskError, Request};
 use crate::process::control::saved_state::{latch_stop, stop_file};
 use crate::process::link::{LinkReport, PeerReport};
@@ -120,7 +120,7 @@ fn confirm((dir, written): Latched) -> StoppedFleet {
 /// Returns the names of the robots on other machines that do not say in time that they are stopped, and of those that the base
 /// has not heard of yet.
 fn unconfirmed_robots(run: &Run) -> [Vec<String>; 2] {
-    if run.config.world != World::Robots {
+    if run.config.world != RobotSource::Robots {
         return Default::default();
     }
     let begun = Instant::now();

@@ -1,7 +1,7 @@
 //! Feeds of a transport: each passes the messages of one group of channels on to ros_tcp clients or to DDS.
 
 use crate::channel::{self, Channel};
-use crate::config::World;
+use crate::config::RobotSource;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort};
 use crate::process::ProcessLoop;
 use crate::process::scan_demand::ScanDemandSender;
@@ -67,7 +67,7 @@ pub fn open_feeds<P: Ports + 'static, T: Transport + 'static>(
         })?,
         publish_merged_map(ports, transport)?,
     ];
-    if run.config.world == World::Robots {
+    if run.config.world == RobotSource::Robots {
         feeds.push(demand_scans(ports, run, transport)?);
     }
     for robot in run.robots() {

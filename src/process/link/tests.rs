@@ -2,7 +2,7 @@
 
 use super::{BaseLink, POLL_PERIOD, RobotLink, StopControl};
 use crate::channel::{self, Opener, Program};
-use crate::config::{FleetConfig, World};
+use crate::config::{FleetConfig, RobotSource};
 use crate::lockstep::faults::FaultPlan;
 use crate::lockstep::queues::{
     MemoryPorts, Network, QueueMapReader, QueueMapWriter, QueueReader, QueueWriter,
@@ -103,7 +103,7 @@ struct Machines {
     now: u64,
 }
 
-fn run(world: World) -> Run {
+fn run(world: RobotSource) -> Run {
     let mut config = FleetConfig { world, ..FleetConfig::default() };
     config.fleet.robots = 1;
     Run::in_memory(config).unwrap()
@@ -124,7 +124,7 @@ impl RobotSide {
         let network = Network::new(FaultPlan::none());
         let (slam, sim) = (ports(&network, Role::Slam), ports(&network, Role::Sim));
         let stop = Stop::default();
-        let mut run = run(World::Simulator);
+        let mut run = run(RobotSource::Simulator);
         run.begun = Monotonic(begun);
         let link = RobotLink::open(&link_ports(&network), &run, cable, stop.clone(), session);
         let map = TileMap::new(MapHeader { resolution_m: 0.05, ..MapHeader::default() });
@@ -167,7 +167,8 @@ impl BaseSide {
     fn new(cable: Cable, session: u64) -> Self {
         let network = Network::new(FaultPlan::none());
         let stop = Stop::default();
-        let link = BaseLink::open(&link_ports(&network), &run(World::Robots), cable, stop.clone(), session);
+        let link =
+            BaseLink::open(&link_ports(&network), &run(RobotSource::Robots), cable, stop.clone(), session);
         let merge = ports(&network, Role::Merge);
         Self {
             link: link.unwrap(),
