@@ -162,24 +162,17 @@ impl Core {
         payload: &[u8],
         now: Monotonic,
     ) -> Result<(), InputError> {
-        // Anyone who is not denied may stop the robots, and an idle hand controller needs no permission.
-        match input {
-            InputPurpose::EmergencyStop => self.check(Action::Stop, id)?,
-            InputPurpose::Joystick | InputPurpose::HandInputs => {}
-            _ => self.check(Action::Drive, id)?,
-        }
+        self.check_permission(id, input)?;
         match input {
             InputPurpose::SelectedCommand => {
                 self.drive(id, self.gate.drive().selected(), publication, payload, now)
             }
             InputPurpose::Command(robot) => self.drive(id, robot, publication, payload, now),
-            InputPurpose::Joystick => {
-                let stick = Stick::from_joy(&self.decode(payload)?);
-                self.router.forward(publication.topic, payload);
-                self.apply_stick(id, stick, now)
-            }
-            InputPurpose::HandInputs => {
-                let stick = Stick::from_hand(&self.decode(payload)?);
+            InputPurpose::Joystick | InputPurpose::HandInputs => {
+                let stick = match input {
+                    InputPurpose::Joystick => Stick::from_joy(&self.decode(payload)?),
+                    _ => Stick::from_hand(&self.decode(payload)?),
+                };
                 self.router.forward(publication.topic, payload);
                 self.apply_stick(id, stick, now)
             }
@@ -196,10 +189,7 @@ impl Core {
                 let message = world_message(input, self.reader(payload)?);
                 message.map_or(Ok(()), |message| self.receive_world(id, message, now))
             }
-            InputPurpose::InitialPose(robot) => {
-                let message = self.decode(payload)?;
-                Ok(self.request_initial_pose(robot, &message)?)
-            }
+            InputPurpose::InitialPose(robot) => Ok(self.request_initial_pose(robot, &self.decode(payload)?)?),
             InputPurpose::SelectRobot => {
                 let robot = self.robot_numbered(self.decode::<Int32>(payload)?)?;
                 self.select(robot);
@@ -221,6 +211,16 @@ impl Core {
             InputPurpose::MergeEdge => self.queue_edge_command(&self.decode::<Text>(payload)?.0),
             _ => self.apply_navigation_input(input, payload, now),
         }
+    }
+
+    /// Anyone who is not denied may stop the robots, and an idle hand controller needs no permission.
+    fn check_permission(&mut self, id: ClientId, input: InputPurpose) -> Result<(), InputError> {
+        match input {
+            InputPurpose::EmergencyStop => self.check(Action::Stop, id)?,
+            InputPurpose::Joystick | InputPurpose::HandInputs => {}
+            _ => self.check(Action::Drive, id)?,
+        }
+        Ok(())
     }
 
     pub(super) fn decode<M: Message>(&self, payload: &[u8]) -> Result<M, DecodeError> {
