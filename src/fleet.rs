@@ -43,6 +43,18 @@ pub enum FleetError {
         /// What is missing.
         source: StartError,
     },
+    /// Two robots would start in one place.
+    #[error(
+        "{a} and {b} start {apart_m:.2} m apart; expected at least {START_APART_MIN_M} m, or they push each other away"
+    )]
+    StartsTooNear {
+        /// One of the robots.
+        a: RobotId,
+        /// The other one.
+        b: RobotId,
+        /// Distance between their start poses, metres.
+        apart_m: f64,
+    },
     /// A robot cannot start where it should.
     #[error("{robot} cannot start: {source}")]
     Start {
@@ -55,6 +67,9 @@ pub enum FleetError {
     #[error(transparent)]
     Sessions(#[from] SessionsError),
 }
+
+/// Smallest distance between two start poses, metres: where two bodies touch.
+const START_APART_MIN_M: f64 = 2.0 * sim::burger::ROBOT_RADIUS_M;
 
 /// Largest file that is read as a room, bytes.
 const ROOM_BYTES_MAX: u64 = 256 << 20;
@@ -151,8 +166,21 @@ pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
     }
     let room = room(config)?;
     let starts = starts(config, &room)?;
-    for (robot, start) in RobotId::first(config.fleet.robots).zip(starts) {
-        simulator(config, &room, robot, start)?;
+    for (robot, start) in RobotId::first(config.fleet.robots).zip(&starts) {
+        simulator(config, &room, robot, *start)?;
+    }
+    check_distances(&starts)
+}
+
+/// Checks that no two robots start in one place.
+fn check_distances(starts: &[Pose2]) -> Result<(), FleetError> {
+    for (a, here) in RobotId::first(starts.len()).zip(starts) {
+        for (b, there) in RobotId::first(starts.len()).zip(starts).skip(a.number()) {
+            let apart_m = here.distance_m(*there);
+            if apart_m < START_APART_MIN_M {
+                return Err(FleetError::StartsTooNear { a, b, apart_m });
+            }
+        }
     }
     Ok(())
 }
@@ -160,4 +188,19 @@ pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
 /// Returns the epoch of a run on the machine's clock.
 pub fn stamp_now(epoch: Epoch) -> Stamp {
     epoch.stamp(crate::clock::now())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn robots_that_start_in_one_place_are_refused_by_name() {
+        let mut config = FleetConfig::default();
+        (config.fleet.robots, config.fleet.starts) = (3, vec![[0.0; 3], [0.5, 0.0, 0.0], [0.0, 0.2, 1.0]]);
+        let said = check(&config).unwrap_err().to_string();
+        assert!(said.starts_with("robot1 and robot3 start 0.20 m apart"), "{said}");
+        config.fleet.starts[2] = [0.0, 0.3, 1.0];
+        check(&config).unwrap();
+    }
 }

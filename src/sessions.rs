@@ -7,7 +7,7 @@ use crate::config::{FleetConfig, Mode};
 use crate::run::Run;
 use crate::session_file::{self, SessionFileError};
 use crate::storage::Storage;
-use msg::{Pose2, RobotId, SlamMode};
+use msg::{Pose2, ROBOTS_MAX, RobotId, SlamMode};
 use slam::{Session, SessionIdentity};
 use std::collections::BTreeMap;
 use std::io;
@@ -156,8 +156,18 @@ fn read_starts(path: &Path) -> Result<Starts, SessionsError> {
     }
 }
 
-/// Creates a folder for sessions with the poses of the robots' maps that are known.
+/// Creates a folder for sessions with the poses of the robots' maps that are known. Sessions that an earlier run left there of robots
+/// that this fleet does not have are renamed: a fleet that begins with the folder would take them for maps of this run.
 pub fn create_folder(folder: &Path, known: &[Option<Pose2>]) -> Result<(), SessionsError> {
+    for robot in RobotId::first(ROBOTS_MAX).skip(known.len()) {
+        let session = file(folder, robot);
+        if session.exists() {
+            let earlier = session.with_extension("slam.earlier");
+            std::fs::rename(&session, &earlier)
+                .map_err(|source| SessionsError::StartsFile { file: session.clone(), source })?;
+            tracing::warn!("{} is of an earlier run; it is {} now", session.display(), earlier.display());
+        }
+    }
     let path = folder.join(STARTS);
     let named = RobotId::first(known.len()).zip(known);
     let starts: Starts = named
@@ -188,6 +198,16 @@ mod tests {
             std::fs::write(file(folder.path(), robot), "").unwrap();
         }
         assert_eq!(known_starts(&config, elsewhere).unwrap(), known);
+    }
+
+    #[test]
+    fn sessions_of_robots_that_an_earlier_run_had_are_not_those_of_this_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = [1, 2, 3].map(|number| file(folder.path(), RobotId::new(number).unwrap()));
+        files.iter().for_each(|path| std::fs::write(path, "a session").unwrap());
+        create_folder(folder.path(), &[None, None]).unwrap();
+        assert!(files[0].exists() && files[1].exists() && !files[2].exists());
+        assert!(folder.path().join("robot3.slam.earlier").exists(), "nothing is deleted");
     }
 
     #[test]

@@ -151,6 +151,11 @@ impl AccessControl {
         self.allowed.iter().copied()
     }
 
+    /// Returns the addresses that the operator has denied.
+    pub fn denied(&self) -> impl Iterator<Item = IpAddr> + '_ {
+        self.denied.iter().copied()
+    }
+
     /// Allows an address to watch and drive.
     pub fn allow(&mut self, address: IpAddr) {
         let address = address.to_canonical();

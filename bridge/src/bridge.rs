@@ -311,6 +311,11 @@ impl Bridge {
         self.core.borrow().access.allowed().collect()
     }
 
+    /// Returns the addresses that the operator has denied.
+    pub fn denied_addresses(&self) -> Vec<IpAddr> {
+        self.core.borrow().access.denied().collect()
+    }
+
     /// Allows an address to watch and drive.
     pub fn allow(&self, address: IpAddr) {
         self.update(|core| {

@@ -17,6 +17,9 @@ pub const ZONE_ANSWERS_MAX: usize = 64;
 /// Largest coordinate of a corner, metres: beyond it a message is broken.
 pub const ZONE_COORDINATE_MAX_M: f64 = 1e5;
 
+/// Corners of a smaller parallelogram lie on one line, square metres.
+const AREA_MIN_M2: f64 = 1e-6;
+
 /// Corners that make no zone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum ZoneError {
@@ -24,8 +27,11 @@ pub enum ZoneError {
     #[error("a zone of {0} corners; expected {ZONE_CORNERS_MIN} to {ZONE_CORNERS_MAX}")]
     Corners(usize),
     /// A corner is not a usable point.
-    #[error("corner {0} of the zone is not a finite point within 100 km of the origin")]
+    #[error("corner {} of the zone is not a finite point within 100 km of the origin", .0 + 1)]
     NotFinite(usize),
+    /// All corners lie on one line.
+    #[error("the corners of the zone lie on one line; expected an area")]
+    NoArea,
 }
 
 /// Polygon that navigation keeps robots out of.
@@ -62,6 +68,9 @@ impl ExclusionZone {
         let is_usable = |corner: &[f64; 2]| corner.iter().all(|v| v.abs() <= ZONE_COORDINATE_MAX_M);
         if let Some(index) = corners_m.iter().position(|corner| !is_usable(corner)) {
             return Err(ZoneError::NotFinite(index));
+        }
+        if !has_area(corners_m) {
+            return Err(ZoneError::NoArea);
         }
         let mut zone = Self { corners_len: count as u32, ..Self::default() };
         zone.corners_m[..count].copy_from_slice(corners_m);
@@ -152,7 +161,7 @@ pub enum ZoneRefusal {
     #[error("no zone has this number")]
     Unknown = 2,
     /// The polygon or the command is broken.
-    #[error("the zone has too few or too many corners, or one that is not finite")]
+    #[error("the zone has too few or too many corners, one that is not finite, or no area")]
     Broken = 3,
 }
 
@@ -231,6 +240,13 @@ impl ExclusionZones {
     pub fn refusal(&self) -> Option<ZoneRefusal> {
         self.answers[0].refusal()
     }
+}
+
+/// Whether some three of the corners make a triangle.
+fn has_area(corners_m: &[[f64; 2]]) -> bool {
+    let [x, y] = corners_m[0];
+    let from_first = || corners_m.iter().map(|[u, v]| [u - x, v - y]);
+    from_first().any(|[a, b]| from_first().any(|[c, d]| (a * d - b * c).abs() > AREA_MIN_M2))
 }
 
 #[cfg(test)]

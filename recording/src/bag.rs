@@ -2,6 +2,7 @@
 //!
 //! Sizes and numbers of a bag are not trusted: what is no measurement is counted and left out.
 
+use crate::pose_at::pose_at;
 use crate::{ReadError, RecordedMessage, RecordingReader, planar};
 use msg::{BEAMS_MAX, Pose2, Scan, Stamp};
 use ros_messages::cdr::Reader;
@@ -17,8 +18,6 @@ const RANGES_BYTES_MAX: usize = 8 << 30;
 const FRAMES_MAX: usize = 4096;
 /// Most poses of odometry and transforms.
 const POSES_MAX: usize = 50_000_000;
-/// Longest time between a scan and the odometry before or after it, seconds.
-const GAP_MAX_S: f64 = 0.5;
 /// Name of a robot's topic with its true poses in the frame `world`.
 pub const GROUND_TRUTH: &str = "ground_truth";
 /// Fewest beams of a scan.
@@ -82,7 +81,7 @@ pub enum BagError {
     #[error(transparent)]
     Read(#[from] ReadError),
     /// There is no scan.
-    #[error("the bag has no sensor_msgs/LaserScan{} in CDR ({malformed} malformed messages); it has {}", on_topic(.wished), list(.topics))]
+    #[error("the bag has no sensor_msgs/LaserScan{} in CDR ({malformed} malformed messages); it has {}{}", on_topic(.wished), list(.topics), up_to(.broken))]
     NoScan {
         /// Topic that was named.
         wished: Option<String>,
@@ -90,6 +89,8 @@ pub enum BagError {
         malformed: u64,
         /// Topics of the bag with their types.
         topics: Vec<String>,
+        /// Why the file ends before its index, if it does.
+        broken: Option<String>,
     },
     /// Several topics have scans.
     #[error("the bag has scans on {}; name one with --scan-topic", list(.0))]
@@ -130,6 +131,10 @@ fn on_topic(wished: &Option<String>) -> String {
     wished.as_ref().map_or(String::new(), |topic| format!(" on {topic}"))
 }
 
+fn up_to(broken: &Option<String>) -> String {
+    broken.as_ref().map_or(String::new(), |why| format!(" up to where the file is damaged ({why})"))
+}
+
 fn list(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
@@ -158,6 +163,7 @@ struct Found {
     scan_count: usize,
     ranges_bytes: usize,
     pose_count: usize,
+    broken: Option<String>,
 }
 
 /// Reads the scans and the odometry of one robot.
@@ -178,8 +184,8 @@ pub fn read_bag<R: Read>(
             found.malformed += 1;
         }
     }
-    let bag = found.bag(options)?;
-    Ok(Bag { broken: reader.broken().map(str::to_owned), ..bag })
+    found.broken = reader.broken().map(str::to_owned);
+    found.bag(options)
 }
 
 impl Found {
@@ -245,7 +251,7 @@ impl Found {
             base_from_scan,
             malformed: self.malformed,
             without_odometry: 0,
-            broken: None,
+            broken: self.broken.clone(),
         };
         for RawScan { scan, .. } in scans {
             let pose = match &odometry {
@@ -268,6 +274,7 @@ impl Found {
             wished: options.scan_topic.clone(),
             malformed: self.malformed,
             topics: self.topics.iter().cloned().collect(),
+            broken: self.broken.clone(),
         };
         match &options.scan_topic {
             Some(topic) if self.scans.contains_key(topic) => Ok(topic.clone()),
@@ -376,21 +383,4 @@ fn checked(scan: &Scan) -> Option<BagScan> {
         range_max_m,
         ranges_m: scan.ranges_m().to_vec(),
     })
-}
-
-/// Returns the pose at a time, between its two neighbours; `None` if one of them is too far away.
-fn pose_at(poses: &[(Stamp, Pose2)], at: Stamp) -> Option<Pose2> {
-    let after = poses.partition_point(|(stamp, _)| *stamp < at);
-    let near = |index: usize| poses.get(index).filter(|(stamp, _)| (*stamp - at).abs() <= GAP_MAX_S);
-    let before = after.checked_sub(1).and_then(near);
-    match (before, near(after)) {
-        (Some((from, a)), Some((to, b))) => {
-            let share = if *to == *from { 0.0 } else { (at - *from) / (*to - *from) };
-            let turn = (b.yaw_rad - a.yaw_rad).sin().atan2((b.yaw_rad - a.yaw_rad).cos());
-            let between = |a: f64, b: f64| a + (b - a) * share;
-            Some(Pose2::new(between(a.x_m, b.x_m), between(a.y_m, b.y_m), a.yaw_rad + turn * share))
-        }
-        (Some((_, pose)), None) | (None, Some((_, pose))) => Some(*pose),
-        (None, None) => None,
-    }
 }

@@ -28,6 +28,7 @@ pub mod bag;
 pub mod fleet;
 mod planar;
 pub mod playback;
+mod pose_at;
 mod reader;
 mod writer;
 

@@ -15,6 +15,8 @@ pub struct BridgeState {
     pub waiting: Vec<IpAddr>,
     /// Addresses that may drive.
     pub allowed: Vec<IpAddr>,
+    /// Addresses that may not drive, whatever else is allowed.
+    pub denied: Vec<IpAddr>,
     /// State of every connection of a ros_tcp client.
     pub clients: Vec<ClientStatus>,
     /// Room that a headset offers as the simulators' world, until the operator answers.

@@ -21,6 +21,8 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest time without an answer to the stop after Ctrl-C.
 const STOP_PATIENCE: Duration = Duration::from_secs(1);
+/// Time in which the states after the first answer to a start show whether robots go: the emergency stop comes a moment later.
+const FIRST_STATES: Duration = Duration::from_millis(500);
 /// Period at which the state is looked at, nanoseconds.
 const POLL_NS: u64 = 50_000_000;
 /// Shortest time between two lines of progress.
@@ -32,7 +34,7 @@ pub struct ExploreArgs {
     /// What to do
     #[arg(value_enum, default_value_t = ExploreAction::Start)]
     pub action: ExploreAction,
-    /// Return as soon as the fleet explores
+    /// Return half a second after the fleet has begun; an error if it is paused or cannot explore
     #[arg(long)]
     pub no_wait: bool,
     /// Print the result as JSON
@@ -166,8 +168,11 @@ pub fn run(args: &ExploreArgs, stop: &Stop) -> Result<(), ExploreError> {
     let report = exchange(&run, args, stop)?;
     let answer = Answer::new(&report, run.config.fleet.robots, begun.elapsed().as_secs_f64());
     output::print_either(args.json, &answer, || answer.text())?;
-    let waited = args.action == ExploreAction::Start && !args.no_wait;
-    if !waited || report.status() == ExplorationStatus::Completed {
+    let is_on_its_way = !report.status().is_final() && report.status() != ExplorationStatus::Paused;
+    if args.action != ExploreAction::Start
+        || report.status() == ExplorationStatus::Completed
+        || (args.no_wait && is_on_its_way)
+    {
         return Ok(());
     }
     Err(ExploreError::NotCompleted { state: answer.state, reason: answer.reason })
@@ -188,9 +193,9 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
         ExploreAction::Stop => commands.send(&ExplorationCommand::new(number, ExplorationAction::Stop)),
         ExploreAction::Status => {}
     }
-    let waits = args.action == ExploreAction::Start && !args.no_wait;
+    let is_start = args.action == ExploreAction::Start;
     let mut progress = Progress::default();
-    let mut has_answer = false;
+    let (mut newest, mut first_answer) = (None, None);
     loop {
         if args.action != ExploreAction::Status {
             // A navigator that starts again needs the command once more.
@@ -201,16 +206,25 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
             if report.number < number {
                 continue;
             }
-            has_answer = true;
+            first_answer.get_or_insert_with(Instant::now);
+            newest = Some(report);
             let status = report.status();
-            if !waits || status.is_final() || status == ExplorationStatus::Paused {
+            if !is_start || status.is_final() || status == ExplorationStatus::Paused {
                 return Ok(report);
             }
-            if let Some(line) = progress.line(&report, run.config.fleet.robots) {
+            if !args.no_wait
+                && let Some(line) = progress.line(&report, run.config.fleet.robots)
+            {
                 output::note(&line);
             }
         }
-        if !has_answer && begun.elapsed() > PATIENCE {
+        if args.no_wait
+            && let Some((report, at)) = newest.zip(first_answer)
+            && at.elapsed() > FIRST_STATES
+        {
+            return Ok(report);
+        }
+        if first_answer.is_none() && begun.elapsed() > PATIENCE {
             return Err(ExploreError::Silent { run: run.dir.clone() });
         }
         if stop.requested() {

@@ -73,11 +73,9 @@ impl FleetArgs {
     fn apply(&self, config: &mut FleetConfig) {
         let fleet = &mut config.fleet;
         if let Some(robots) = self.robots {
-            if robots != fleet.robots {
-                // Poses and names for another number of robots are invalid.
-                fleet.starts.clear();
-                fleet.names.clear();
-            }
+            // Fewer robots are the first ones of the file; poses and names for more are asked for by the check.
+            fleet.starts.truncate(robots);
+            fleet.names.truncate(robots);
             fleet.robots = robots;
         }
         if let Some(names) = &self.names {

@@ -11,7 +11,7 @@ use crate::shared_memory::{Participant, Reader, Writer, let_readers_look, wait};
 use crate::stop::Stop;
 use msg::{
     CommandSource, Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose,
-    NavigationReport, NavigationStatus, RobotId,
+    NavigationReport, NavigationStatus, RobotId, ZONE_COORDINATE_MAX_M,
 };
 use serde::Serialize;
 use std::path::PathBuf;
@@ -21,6 +21,9 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest time without an answer to a cancellation after Ctrl-C.
 const CANCEL_PATIENCE: Duration = Duration::from_secs(1);
+/// Time in which the states after the first answer to a goal show whether the robot goes there: what stands in its way, such as the
+/// emergency stop, comes a moment later.
+const FIRST_STATES: Duration = Duration::from_millis(500);
 /// Period at which the state is looked at, nanoseconds.
 const POLL_NS: u64 = 50_000_000;
 
@@ -39,7 +42,7 @@ pub struct GotoArgs {
     /// Cancel the robot's goal instead
     #[arg(long, conflicts_with_all = ["pose", "own_map", "no_wait"])]
     pub cancel: bool,
-    /// Return as soon as the robot has taken the goal
+    /// Return half a second after the robot has taken the goal; an error if it is refused or paused
     #[arg(long)]
     pub no_wait: bool,
     /// Print the result as JSON
@@ -52,13 +55,14 @@ pub struct GotoArgs {
 
 /// Text that is no goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("expected X,Y or X,Y,YAW in metres and radians")]
+#[error("expected X,Y or X,Y,YAW in metres and radians, within 100 km of the origin")]
 pub struct PoseError;
 
 /// Parses a goal from `X,Y` or `X,Y,YAW`.
 fn pose(text: &str) -> Result<NavigationPose, PoseError> {
+    let is_near = |v: &f64| v.abs() <= ZONE_COORDINATE_MAX_M;
     let numbers: Option<Vec<f64>> =
-        text.split(',').map(|number| number.trim().parse().ok().filter(|v: &f64| v.is_finite())).collect();
+        text.split(',').map(|number| number.trim().parse().ok().filter(is_near)).collect();
     match numbers.as_deref() {
         Some([x_m, y_m]) => Ok(NavigationPose { x_m: *x_m, y_m: *y_m, yaw_rad: f64::NAN }),
         Some([x_m, y_m, yaw_rad]) => Ok(NavigationPose { x_m: *x_m, y_m: *y_m, yaw_rad: *yaw_rad }),
@@ -137,7 +141,8 @@ pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
     output::print_either(args.json, &answer, || {
         format!("{}: {} after {:.1} s\n", answer.robot, answer.state, answer.seconds)
     })?;
-    let is_wanted = args.cancel || args.no_wait || state == NavigationStatus::Reached;
+    let is_on_its_way = !state.is_final() && state != NavigationStatus::Paused;
+    let is_wanted = args.cancel || state == NavigationStatus::Reached || (args.no_wait && is_on_its_way);
     let reason = answer.reason;
     if is_wanted {
         Ok(())
@@ -175,6 +180,7 @@ fn exchange(
     };
     commands.send(&NavigationCommand { sender: CommandSource::LAPTOP, ..command });
     let (begun, mut shown, mut has_answer) = (Instant::now(), String::new(), false);
+    let (mut newest, mut first_answer) = (None, None);
     loop {
         // A navigator that starts again needs the command once more.
         commands.refresh();
@@ -191,10 +197,20 @@ fn exchange(
             if report.number < number || args.cancel {
                 continue;
             }
-            if is_over || report.status() == NavigationStatus::Paused || args.no_wait {
+            if is_over || report.status() == NavigationStatus::Paused {
                 return Ok(report);
             }
-            show(args, &report, &mut shown);
+            first_answer.get_or_insert_with(Instant::now);
+            newest = Some(report);
+            if !args.no_wait {
+                show(args, &report, &mut shown);
+            }
+        }
+        if args.no_wait
+            && let Some((report, at)) = newest.zip(first_answer)
+            && at.elapsed() > FIRST_STATES
+        {
+            return Ok(report);
         }
         if !has_answer && begun.elapsed() > PATIENCE {
             return Err(GotoError::Silent { run: run.dir.clone() });

@@ -39,6 +39,14 @@ pub enum MergeMapsError {
         /// Reason of the merger.
         why: MapRejected,
     },
+    /// No map has found its place.
+    #[error("none of the other maps could be placed in {}: nothing is merged{}", first.display(), if *.unwritten { ", and no file is written" } else { "" })]
+    NothingMerged {
+        /// Path of the first map.
+        first: PathBuf,
+        /// Whether a file for the result was named.
+        unwritten: bool,
+    },
     /// More maps than robots in the largest fleet.
     #[error("{0} maps; expected 2 to {ROBOTS_MAX}")]
     TooMany(usize),
@@ -75,6 +83,15 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
         let name = yaml.display().to_string();
         let line = if args.json { as_json(&name, place).to_string() } else { as_text(&name, place) };
         output::print(&(line + "\n"))?;
+    }
+    let is_refused = |place: &&Option<Place>| place.as_ref().is_none_or(|place| place.accepted().is_none());
+    let refused = places.iter().skip(1).filter(is_refused).count();
+    if refused > 0 && refused + 1 == maps.len() {
+        let first = args.maps[0].clone();
+        return Err(MergeMapsError::NothingMerged { first, unwritten: args.out.is_some() });
+    }
+    if refused > 0 {
+        output::note(&format!("{refused} of {} maps have no place and are left out", maps.len()));
     }
     let reasons = reasons_of_merged(&args.maps, &reasons, &places);
     for reason in &reasons {
@@ -270,6 +287,19 @@ mod tests {
         run(&MergeArgs { maps, out: Some(path("whole")), json: true }).unwrap();
         let (_, reasons) = read_map_with_reasons(&path("whole.yaml")).unwrap();
         assert_eq!(reasons, ["b.yaml: walls moved; lost"]);
+    }
+
+    #[test]
+    fn maps_that_have_no_place_are_an_error_and_make_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        write_map(&path("a"), part(0, 200, Pose2::IDENTITY).view()).unwrap();
+        let empty = Grid { cells: vec![-60; 200 * 200], ..part(0, 200, Pose2::IDENTITY) };
+        write_map(&path("b"), empty.view()).unwrap();
+        let maps = ["a.yaml", "b.yaml"].map(path).to_vec();
+        let why = run(&MergeArgs { maps, out: Some(path("whole")), json: true }).unwrap_err().to_string();
+        assert!(why.contains("nothing is merged") && why.contains("no file is written"), "{why}");
+        assert!(!path("whole.yaml").exists());
     }
 
     #[test]

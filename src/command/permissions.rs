@@ -138,10 +138,14 @@ fn list(args: &StopArgs) -> Result<(), PermissionError> {
     let bridge = ask(&run, Request::State)?;
     let text = || {
         let mut text = String::new();
+        if run.config.bridge.trust_loopback {
+            text += "loopback may drive, unless it is denied\n";
+        }
         bridge.allowed.iter().for_each(|address| text += &format!("{address} may drive\n"));
         bridge.waiting.iter().for_each(|address| text += &format!("{address} waits for an answer\n"));
-        if text.is_empty() {
-            text += "nobody has asked; loopback may drive\n";
+        bridge.denied.iter().for_each(|address| text += &format!("{address} is denied\n"));
+        if bridge.allowed.is_empty() && bridge.waiting.is_empty() && bridge.denied.is_empty() {
+            text += "nobody has asked\n";
         }
         text
     };

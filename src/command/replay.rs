@@ -241,6 +241,9 @@ fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed
 /// Creates front end and back end, new or from a session.
 fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), ReplayError> {
     let Some(path) = &args.session else {
+        if args.mode == Mode::Localization {
+            return Err(ReplayError::NothingToLocalizeIn);
+        }
         return Ok(slam::begin(config, None, args.mode.into(), InitialPose::Unknown));
     };
     if session_file::is_map(path) && args.mode != Mode::Localization {

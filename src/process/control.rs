@@ -148,6 +148,7 @@ impl<W: FileWorker> Control<W> {
             selected: self.bridge.selected_robot().number(),
             waiting: self.bridge.waiting_addresses(),
             allowed: self.bridge.allowed_addresses(),
+            denied: self.bridge.denied_addresses(),
             clients: self.bridge.clients(now),
             room_offer: self.bridge.room_offer(),
         }

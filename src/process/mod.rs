@@ -26,7 +26,7 @@ use crate::realtime::SettingError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, wait};
 use crate::stop::Stop;
-use msg::{Monotonic, Pose2, RobotId, Role};
+use msg::{Monotonic, Pose2, RobotId, Role, ZONE_COORDINATE_MAX_M};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -71,7 +71,7 @@ pub struct ProcessArgs {
 
 /// Text that is no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("expected X,Y,YAW in metres and radians")]
+#[error("expected X,Y,YAW in metres and radians, within 100 km of the origin")]
 pub struct PoseError;
 
 /// Parses a pose from `X,Y,YAW`: metres, metres, radians.
@@ -79,7 +79,9 @@ pub fn pose(text: &str) -> Result<Pose2, PoseError> {
     let numbers =
         text.split(',').map(|number| number.trim().parse::<f64>().ok()).collect::<Option<Vec<f64>>>();
     match numbers.as_deref() {
-        Some([x_m, y_m, yaw_rad]) if [x_m, y_m, yaw_rad].iter().all(|v| v.is_finite()) => {
+        Some([x_m, y_m, yaw_rad])
+            if yaw_rad.is_finite() && [x_m, y_m].iter().all(|v| v.abs() <= ZONE_COORDINATE_MAX_M) =>
+        {
             Ok(Pose2::new(*x_m, *y_m, *yaw_rad))
         }
         _ => Err(PoseError),

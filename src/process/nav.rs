@@ -375,6 +375,6 @@ impl<P: Ports> Inputs<P> {
             }
         };
         NavigationGoal::new(frame, goal_poses(command.poses(), frame_from_poses))
-            .map_err(|_| "the goal has no pose, or one that is not finite")
+            .map_err(|_| "the goal has no pose, or one that is not finite within 100 km of the origin")
     }
 }

@@ -91,6 +91,19 @@ fn too_few_descriptors_are_said_in_words_before_the_start() {
 }
 
 #[test]
+fn a_fleet_that_has_ended_is_not_stopped_and_the_next_one_in_its_folder_may_drive() {
+    let temporary = Folder::new();
+    let (run, lock) = pretend_run(&temporary, 1);
+    drop(lock);
+    let mut command = mr_slam();
+    command.args(["stop", "--run-dir", &run]).env("TMPDIR", temporary.path());
+    let ended = command.output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert!(!ended.status.success() && said.contains("no fleet is running"), "{said}");
+    assert!(!std::path::Path::new(&run).join("stopped").exists());
+}
+
+#[test]
 fn stop_is_latched_in_every_fleet_whether_it_answers_or_not() {
     let temporary = Folder::new();
     let runs = [1, 2].map(|number| pretend_run(&temporary, number));

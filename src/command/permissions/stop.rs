@@ -73,6 +73,10 @@ pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
                 // The error names the file that is missing.
                 Run::open(dir)?;
             }
+            // A stop of a fleet that has ended stops nothing, and the next one in this folder would begin with it.
+            if Run::open(dir).is_ok_and(|run| !run.is_alive()) {
+                return Err(RunError::NoneRunning.into());
+            }
             vec![dir.clone()]
         }
         None => Run::all_running(),

@@ -60,6 +60,9 @@ pub enum ReplayError {
         /// What is missing.
         why: recording::bag::BagError,
     },
+    /// There is no map to localize in.
+    #[error("--mode localization needs a session or a map to localize in; expected --session FILE")]
+    NothingToLocalizeIn,
     /// Only a fleet's own recording is played for clients.
     #[error(
         "--serve plays the recording of a simulated fleet, as `mr-slam record` and `--record` write it, without --merge \

@@ -97,6 +97,17 @@ fn figures_that_were_not_measured_are_null() {
 }
 
 #[test]
+fn localization_without_a_map_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, saved) = (folder.path().join("room.log"), folder.path().join("room.session"));
+    std::fs::write(&path, furnished_log()).unwrap();
+    let localizing =
+        ReplayArgs { mode: Mode::Localization, save_session: Some(saved.clone()), ..args(&path) };
+    assert!(matches!(run(&localizing), Err(ReplayError::NothingToLocalizeIn)));
+    assert!(!saved.exists());
+}
+
+#[test]
 fn localization_writes_the_poses_of_its_own_scans_in_the_map() {
     let folder = tempfile::tempdir().unwrap();
     let (path, session) = (folder.path().join("room.log"), folder.path().join("room.session"));
