@@ -97,7 +97,7 @@ fn generated_rooms() -> String {
 /// Returns each robot's start pose: `world` from its `robotK/map`, whose origin is there.
 pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetError> {
     match config.configured_starts() {
-        Some(starts) => Ok(starts),
+        Some(starts) => check_distances(&starts).map(|()| starts),
         None => room
             .starts(config.fleet.robots)
             .map_err(|source| FleetError::Starts { path: config.fleet.room.clone(), source }),
@@ -166,10 +166,10 @@ pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
     }
     let room = room(config)?;
     let starts = starts(config, &room)?;
-    for (robot, start) in RobotId::first(config.fleet.robots).zip(&starts) {
-        simulator(config, &room, robot, *start)?;
+    for (robot, start) in RobotId::first(config.fleet.robots).zip(starts) {
+        simulator(config, &room, robot, start)?;
     }
-    check_distances(&starts)
+    Ok(())
 }
 
 /// Checks that no two robots start in one place.

@@ -36,7 +36,7 @@ pub enum SessionsError {
         /// Path of the folder.
         folder: PathBuf,
     },
-    /// The file with the poses of the maps cannot be read or written.
+    /// The file with the poses of the maps cannot be read or written, or a session cannot be renamed.
     #[error("{}: {source}", file.display())]
     StartsFile {
         /// Path of the file.

@@ -84,8 +84,8 @@ pub use swept_disk::SweptDisk;
 pub use tiles::{DenseMap, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
 pub use zones::{
-    ExclusionZone, ExclusionZones, ZONE_ANSWERS_MAX, ZONE_COORDINATE_MAX_M, ZONE_CORNERS_MAX, ZONES_MAX,
-    ZoneAction, ZoneAnswer, ZoneCommand, ZoneError, ZoneRefusal,
+    ExclusionZone, ExclusionZones, ZONE_ANSWERS_MAX, ZONE_CORNERS_MAX, ZONES_MAX, ZoneAction, ZoneAnswer,
+    ZoneCommand, ZoneError, ZoneRefusal,
 };
 
 use bytemuck::{Pod, Zeroable};

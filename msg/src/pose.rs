@@ -7,6 +7,9 @@ use bytemuck::{Pod, Zeroable};
 use core::f64::consts::{PI, TAU};
 use core::ops::Mul;
 
+/// Largest coordinate that is taken from outside, metres: no robot gets farther, so that beyond it a message is broken.
+pub const COORDINATE_MAX_M: f64 = 1e5;
+
 /// Pose or transform in the plane, SE(2): a rotation by `yaw_rad`, then a shift by (`x_m`, `y_m`).
 ///
 /// ```

@@ -1,6 +1,7 @@
 //! Messages of exclusion zones: areas of the merged map that navigation keeps robots out of.
 
 use crate::Header;
+use crate::pose::COORDINATE_MAX_M;
 use bytemuck::{Pod, Zeroable};
 use thiserror::Error;
 
@@ -14,9 +15,6 @@ pub const ZONE_CORNERS_MIN: usize = 3;
 pub const ZONE_SOURCE_MAX: usize = 24;
 /// Most commands whose answers are kept.
 pub const ZONE_ANSWERS_MAX: usize = 64;
-/// Largest coordinate of a corner, metres: beyond it a message is broken.
-pub const ZONE_COORDINATE_MAX_M: f64 = 1e5;
-
 /// Corners of a smaller parallelogram lie on one line, square metres.
 const AREA_MIN_M2: f64 = 1e-6;
 
@@ -65,7 +63,7 @@ impl ExclusionZone {
         if !(ZONE_CORNERS_MIN..=ZONE_CORNERS_MAX).contains(&count) {
             return Err(ZoneError::Corners(count));
         }
-        let is_usable = |corner: &[f64; 2]| corner.iter().all(|v| v.abs() <= ZONE_COORDINATE_MAX_M);
+        let is_usable = |corner: &[f64; 2]| corner.iter().all(|v| v.abs() <= COORDINATE_MAX_M);
         if let Some(index) = corners_m.iter().position(|corner| !is_usable(corner)) {
             return Err(ZoneError::NotFinite(index));
         }

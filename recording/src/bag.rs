@@ -80,8 +80,16 @@ pub enum BagError {
     /// The file cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
+    /// What is needed is not in the part before the damage.
+    #[error("{error}; the file is damaged ({why}), and was used up to there")]
+    Damaged {
+        /// What is missing.
+        error: Box<BagError>,
+        /// Why the file ends before its index.
+        why: String,
+    },
     /// There is no scan.
-    #[error("the bag has no sensor_msgs/LaserScan{} in CDR ({malformed} malformed messages); it has {}{}", on_topic(.wished), list(.topics), up_to(.broken))]
+    #[error("the bag has no sensor_msgs/LaserScan{} in CDR ({malformed} malformed messages); it has {}", on_topic(.wished), list(.topics))]
     NoScan {
         /// Topic that was named.
         wished: Option<String>,
@@ -89,8 +97,6 @@ pub enum BagError {
         malformed: u64,
         /// Topics of the bag with their types.
         topics: Vec<String>,
-        /// Why the file ends before its index, if it does.
-        broken: Option<String>,
     },
     /// Several topics have scans.
     #[error("the bag has scans on {}; name one with --scan-topic", list(.0))]
@@ -131,10 +137,6 @@ fn on_topic(wished: &Option<String>) -> String {
     wished.as_ref().map_or(String::new(), |topic| format!(" on {topic}"))
 }
 
-fn up_to(broken: &Option<String>) -> String {
-    broken.as_ref().map_or(String::new(), |why| format!(" up to where the file is damaged ({why})"))
-}
-
 fn list(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
@@ -163,7 +165,6 @@ struct Found {
     scan_count: usize,
     ranges_bytes: usize,
     pose_count: usize,
-    broken: Option<String>,
 }
 
 /// Reads the scans and the odometry of one robot.
@@ -184,8 +185,11 @@ pub fn read_bag<R: Read>(
             found.malformed += 1;
         }
     }
-    found.broken = reader.broken().map(str::to_owned);
-    found.bag(options)
+    match (found.bag(options), reader.broken().map(str::to_owned)) {
+        (Ok(bag), broken) => Ok(Bag { broken, ..bag }),
+        (Err(error), Some(why)) => Err(BagError::Damaged { error: Box::new(error), why }),
+        (Err(error), None) => Err(error),
+    }
 }
 
 impl Found {
@@ -251,7 +255,7 @@ impl Found {
             base_from_scan,
             malformed: self.malformed,
             without_odometry: 0,
-            broken: self.broken.clone(),
+            broken: None,
         };
         for RawScan { scan, .. } in scans {
             let pose = match &odometry {
@@ -274,7 +278,6 @@ impl Found {
             wished: options.scan_topic.clone(),
             malformed: self.malformed,
             topics: self.topics.iter().cloned().collect(),
-            broken: self.broken.clone(),
         };
         match &options.scan_topic {
             Some(topic) if self.scans.contains_key(topic) => Ok(topic.clone()),

@@ -145,6 +145,25 @@ fn after_a_kill_all_flushed_messages_can_be_read() {
 }
 
 #[test]
+fn whatever_a_damaged_file_lacks_it_is_said_to_be_damaged() {
+    let bytes = bag(true, true);
+    let (mut lacking, mut used) = (0, 0);
+    for end in (16..bytes.len() - 1).step_by(97) {
+        match read(&bytes[..end], &BagOptions::default()) {
+            Ok(bag) => {
+                assert!(bag.broken.is_some(), "cut at {end}");
+                used += 1;
+            }
+            Err(BagError::Damaged { .. }) => lacking += 1,
+            // Cut within the first record.
+            Err(BagError::Read(why)) => assert!(end < 100, "cut at {end}: {why}"),
+            Err(why) => panic!("cut at {end}: {why}"),
+        }
+    }
+    assert!(lacking > 0 && used > 0, "{lacking} lack something, {used} are used");
+}
+
+#[test]
 fn a_file_of_another_kind_is_an_error() {
     for bytes in [&b""[..], b"FLASER 3 1 2 3\n", &[0; 4096]] {
         assert!(matches!(read(bytes, &BagOptions::default()), Err(BagError::Read(_))), "{bytes:?}");

@@ -1,6 +1,7 @@
 //! Tool `mr-slam explore`, which lets a running fleet explore by itself and waits until it is done.
 
 use super::confirmation::confirmation;
+use super::first_states::FirstStates;
 use super::output;
 use super::run_args::RunArgs;
 use super::up::FleetHooks;
@@ -21,8 +22,6 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest time without an answer to the stop after Ctrl-C.
 const STOP_PATIENCE: Duration = Duration::from_secs(1);
-/// Time in which the states after the first answer to a start show whether robots go: the emergency stop comes a moment later.
-const FIRST_STATES: Duration = Duration::from_millis(500);
 /// Period at which the state is looked at, nanoseconds.
 const POLL_NS: u64 = 50_000_000;
 /// Shortest time between two lines of progress.
@@ -195,7 +194,7 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
     }
     let is_start = args.action == ExploreAction::Start;
     let mut progress = Progress::default();
-    let (mut newest, mut first_answer) = (None, None);
+    let mut first = FirstStates::new();
     loop {
         if args.action != ExploreAction::Status {
             // A navigator that starts again needs the command once more.
@@ -206,8 +205,7 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
             if report.number < number {
                 continue;
             }
-            first_answer.get_or_insert_with(Instant::now);
-            newest = Some(report);
+            first.add(report);
             let status = report.status();
             if !is_start || status.is_final() || status == ExplorationStatus::Paused {
                 return Ok(report);
@@ -219,12 +217,11 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
             }
         }
         if args.no_wait
-            && let Some((report, at)) = newest.zip(first_answer)
-            && at.elapsed() > FIRST_STATES
+            && let Some(report) = first.outcome()
         {
             return Ok(report);
         }
-        if first_answer.is_none() && begun.elapsed() > PATIENCE {
+        if !first.have_begun() && begun.elapsed() > PATIENCE {
             return Err(ExploreError::Silent { run: run.dir.clone() });
         }
         if stop.requested() {

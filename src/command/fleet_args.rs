@@ -97,3 +97,21 @@ impl FleetArgs {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_number_of_robots_takes_the_first_starts_of_the_file_or_asks_for_more() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("fleet.toml");
+        std::fs::write(&path, "[fleet]\nrobots = 2\nstarts = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]\n").unwrap();
+        let config =
+            |robots| FleetArgs { config: Some(path.clone()), robots, ..FleetArgs::default() }.config();
+        assert_eq!(config(None).unwrap().fleet.starts.len(), 2);
+        assert_eq!(config(Some(1)).unwrap().fleet.starts, [[0.0; 3]]);
+        let said = config(Some(3)).unwrap_err().to_string();
+        assert!(said.contains("2 poses for 3 robots"), "{said}");
+    }
+}

@@ -2,6 +2,7 @@
 
 use super::confirmation::confirmation;
 use super::edges::robot;
+use super::first_states::FirstStates;
 use super::output;
 use super::run_args::RunArgs;
 use crate::channel::{self, Opener, Program};
@@ -9,9 +10,10 @@ use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, Reader, Writer, let_readers_look, wait};
 use crate::stop::Stop;
+use msg::pose::COORDINATE_MAX_M;
 use msg::{
     CommandSource, Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose,
-    NavigationReport, NavigationStatus, RobotId, ZONE_COORDINATE_MAX_M,
+    NavigationReport, NavigationStatus, RobotId,
 };
 use serde::Serialize;
 use std::path::PathBuf;
@@ -21,9 +23,6 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest time without an answer to a cancellation after Ctrl-C.
 const CANCEL_PATIENCE: Duration = Duration::from_secs(1);
-/// Time in which the states after the first answer to a goal show whether the robot goes there: what stands in its way, such as the
-/// emergency stop, comes a moment later.
-const FIRST_STATES: Duration = Duration::from_millis(500);
 /// Period at which the state is looked at, nanoseconds.
 const POLL_NS: u64 = 50_000_000;
 
@@ -60,7 +59,7 @@ pub struct PoseError;
 
 /// Parses a goal from `X,Y` or `X,Y,YAW`.
 fn pose(text: &str) -> Result<NavigationPose, PoseError> {
-    let is_near = |v: &f64| v.abs() <= ZONE_COORDINATE_MAX_M;
+    let is_near = |v: &f64| v.abs() <= COORDINATE_MAX_M;
     let numbers: Option<Vec<f64>> =
         text.split(',').map(|number| number.trim().parse().ok().filter(is_near)).collect();
     match numbers.as_deref() {
@@ -180,7 +179,7 @@ fn exchange(
     };
     commands.send(&NavigationCommand { sender: CommandSource::LAPTOP, ..command });
     let (begun, mut shown, mut has_answer) = (Instant::now(), String::new(), false);
-    let (mut newest, mut first_answer) = (None, None);
+    let mut first = FirstStates::new();
     loop {
         // A navigator that starts again needs the command once more.
         commands.refresh();
@@ -200,15 +199,13 @@ fn exchange(
             if is_over || report.status() == NavigationStatus::Paused {
                 return Ok(report);
             }
-            first_answer.get_or_insert_with(Instant::now);
-            newest = Some(report);
+            first.add(report);
             if !args.no_wait {
                 show(args, &report, &mut shown);
             }
         }
         if args.no_wait
-            && let Some((report, at)) = newest.zip(first_answer)
-            && at.elapsed() > FIRST_STATES
+            && let Some(report) = first.outcome()
         {
             return Ok(report);
         }

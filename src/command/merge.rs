@@ -40,12 +40,10 @@ pub enum MergeMapsError {
         why: MapRejected,
     },
     /// No map has found its place.
-    #[error("none of the other maps could be placed in {}: nothing is merged{}", first.display(), if *.unwritten { ", and no file is written" } else { "" })]
+    #[error("none of the other maps could be placed in {}: nothing is merged, and no file is written", first.display())]
     NothingMerged {
         /// Path of the first map.
         first: PathBuf,
-        /// Whether a file for the result was named.
-        unwritten: bool,
     },
     /// More maps than robots in the largest fleet.
     #[error("{0} maps; expected 2 to {ROBOTS_MAX}")]
@@ -84,11 +82,9 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
         let line = if args.json { as_json(&name, place).to_string() } else { as_text(&name, place) };
         output::print(&(line + "\n"))?;
     }
-    let is_refused = |place: &&Option<Place>| place.as_ref().is_none_or(|place| place.accepted().is_none());
-    let refused = places.iter().skip(1).filter(is_refused).count();
-    if refused > 0 && refused + 1 == maps.len() {
-        let first = args.maps[0].clone();
-        return Err(MergeMapsError::NothingMerged { first, unwritten: args.out.is_some() });
+    let refused = places.iter().flatten().filter(|place| place.accepted().is_none()).count();
+    if refused + 1 == maps.len() {
+        return Err(MergeMapsError::NothingMerged { first: args.maps[0].clone() });
     }
     if refused > 0 {
         output::note(&format!("{refused} of {} maps have no place and are left out", maps.len()));

@@ -8,6 +8,7 @@ pub mod doctor;
 pub mod edges;
 pub mod experiment;
 pub mod explore;
+mod first_states;
 pub mod fleet_args;
 pub mod goto;
 pub mod headset;

@@ -26,7 +26,8 @@ use crate::realtime::SettingError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, wait};
 use crate::stop::Stop;
-use msg::{Monotonic, Pose2, RobotId, Role, ZONE_COORDINATE_MAX_M};
+use msg::pose::COORDINATE_MAX_M;
+use msg::{Monotonic, Pose2, RobotId, Role};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -80,7 +81,7 @@ pub fn pose(text: &str) -> Result<Pose2, PoseError> {
         text.split(',').map(|number| number.trim().parse::<f64>().ok()).collect::<Option<Vec<f64>>>();
     match numbers.as_deref() {
         Some([x_m, y_m, yaw_rad])
-            if yaw_rad.is_finite() && [x_m, y_m].iter().all(|v| v.abs() <= ZONE_COORDINATE_MAX_M) =>
+            if yaw_rad.is_finite() && [x_m, y_m].iter().all(|v| v.abs() <= COORDINATE_MAX_M) =>
         {
             Ok(Pose2::new(*x_m, *y_m, *yaw_rad))
         }

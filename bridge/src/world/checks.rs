@@ -1,6 +1,6 @@
 //! Checks of the numbers in sensor data from outside: what is accepted is finite and within physical bounds.
 
-use msg::pose::yaw_of_quaternion;
+use msg::pose::{COORDINATE_MAX_M, yaw_of_quaternion};
 use msg::{BEAMS_MAX, Header, Pose2, RobotFrame, RobotFrameTransform, Scan};
 use ros_messages::read::Transform;
 use std::f64::consts::TAU;
@@ -10,8 +10,6 @@ use thiserror::Error;
 const UNIT_TOLERANCE: f64 = 1e-2;
 /// The largest tilt of a robot on a floor, radians: a larger one means another convention of axes.
 const TILT_MAX_RAD: f64 = 0.35;
-/// The largest distance from the frame's origin, metres: no robot gets farther.
-const DISTANCE_MAX_M: f64 = 1e5;
 /// The longest time of one scan, seconds.
 const SCAN_TIME_MAX_S: f32 = 10.0;
 /// Fewer beams make no scan.
@@ -66,7 +64,7 @@ pub enum ScanError {
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum TransformError {
     /// A coordinate is not finite, or too large.
-    #[error("a translation of {value_m} m; expected at most {DISTANCE_MAX_M} m")]
+    #[error("a translation of {value_m} m; expected at most {COORDINATE_MAX_M} m")]
     Translation {
         /// The coordinate, metres.
         value_m: f64,
@@ -150,7 +148,7 @@ pub fn check_transform(
     child: RobotFrame,
     transform: &Transform<'_>,
 ) -> Result<RobotFrameTransform, TransformError> {
-    let is_near = |value: &&f64| value.abs() <= DISTANCE_MAX_M;
+    let is_near = |value: &&f64| value.abs() <= COORDINATE_MAX_M;
     if let Some(value) = transform.translation.iter().find(|value| !is_near(value)) {
         return Err(TransformError::Translation { value_m: *value });
     }

@@ -25,7 +25,7 @@ pub struct CoordinationConfig {
     /// Smallest area for which it goes there at all, as a share of the known area, 0 to 1; between 0.04 m² and `gain_min_m2`. Pockets of
     /// 0.04 m² are 0.01 % of a hall's floor, and took fleets of three as long as all the rest.
     pub gain_last_share: f64,
-    /// Most viewpoints of a plan; bounds its time. Where unknown floor separates robots, each part of the floor has its share of them, rounded up.
+    /// Most viewpoints of a plan; bounds its time. Where unknown floor separates robots, each part of the floor has its share of them, and of what the parts before it leave over.
     pub viewpoints_max: usize,
     /// Area that each viewpoint counts in addition to its own, square metres: small pockets are seen while near.
     pub pocket_m2: f64,

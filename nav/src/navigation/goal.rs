@@ -2,12 +2,11 @@
 
 use crate::geometry::distance_m;
 use msg::Pose2;
+use msg::pose::COORDINATE_MAX_M;
 use thiserror::Error;
 
 /// Most poses of one goal: a path of waypoints is sent as one.
 pub const GOAL_POSES_MAX: usize = 64;
-/// Largest coordinate of a goal, metres: beyond it a message is broken.
-const COORDINATE_MAX_M: f64 = 1e5;
 
 /// Distance within which two poses are one place, at which the robot turns, metres.
 const SAME_PLACE_M: f64 = 0.01;

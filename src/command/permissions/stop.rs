@@ -69,15 +69,14 @@ impl StoppedFleet {
 pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
     let dirs = match &args.run.run_dir {
         Some(dir) => {
-            if !dir.join("run.json").exists() {
+            match Run::open(dir) {
+                // A stop of a fleet that has ended stops nothing, and the next one in this folder would begin with it.
+                Ok(run) if !run.is_alive() => return Err(RunError::NoneRunning.into()),
                 // The error names the file that is missing.
-                Run::open(dir)?;
+                Err(why) if !dir.join("run.json").exists() => return Err(why.into()),
+                // A run whose other files cannot be read is stopped all the same.
+                Ok(_) | Err(_) => vec![dir.clone()],
             }
-            // A stop of a fleet that has ended stops nothing, and the next one in this folder would begin with it.
-            if Run::open(dir).is_ok_and(|run| !run.is_alive()) {
-                return Err(RunError::NoneRunning.into());
-            }
-            vec![dir.clone()]
         }
         None => Run::all_running(),
     };
