@@ -328,6 +328,8 @@ export class Fleet {
       const { state, reason } = robot.navigation ?? {};
       if (state === "failed") add(3, "goal", `its goal was given up: ${reason}`);
       if (state === "blocked") add(4, "way", `its way is blocked: ${reason}`);
+      if (slam === "paused") add(2, "paused", "SLAM is paused: nothing is mapped");
+      if (slam === "unconfirmed") add(3, "unconfirmed", "its scans have not confirmed the pose that it was given");
       if (slam === "unreliable") add(2, "unreliable", "its map may be wrong");
       if (slam === "degenerate") add(4, "degenerate", "SLAM is degenerate");
       if (isMapOld === true) add(3, "map", `its part of the map is ${mapAge.toFixed(0)} s old`);

@@ -20,6 +20,7 @@ mod operator;
 mod people;
 pub mod queues;
 mod replay;
+mod room_plan;
 mod tcp;
 
 pub use client::Client;

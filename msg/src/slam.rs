@@ -18,14 +18,25 @@ pub enum TrackingState {
     Lost = 3,
     /// The scan matches the map, but there is evidence that the map is wrong: this pose may be metres off.
     MapUnreliable = 4,
+    /// The pose is what a person said; scans have not confirmed it yet.
+    Unconfirmed = 5,
+    /// SLAM is paused: no scan is processed, and the pose is odometry's.
+    Paused = 6,
 }
 
 impl TrackingState {
     /// Decodes a state; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
-        [Self::Starting, Self::Tracking, Self::Degenerate, Self::Lost, Self::MapUnreliable]
-            .into_iter()
-            .find(|s| *s as u32 == code)
+        const STATES: [TrackingState; 7] = [
+            TrackingState::Starting,
+            TrackingState::Tracking,
+            TrackingState::Degenerate,
+            TrackingState::Lost,
+            TrackingState::MapUnreliable,
+            TrackingState::Unconfirmed,
+            TrackingState::Paused,
+        ];
+        STATES.into_iter().find(|state| *state as u32 == code)
     }
 
     /// Returns the state's name in tables and in JSON.
@@ -36,6 +47,8 @@ impl TrackingState {
             Self::Degenerate => "degenerate",
             Self::Lost => "lost",
             Self::MapUnreliable => "unreliable",
+            Self::Unconfirmed => "unconfirmed",
+            Self::Paused => "paused",
         }
     }
 }
@@ -72,6 +85,18 @@ impl PoseEstimate {
     /// located, it is the last known one.
     pub fn map_from_odom(&self) -> Option<Pose2> {
         (self.map_from_odom_unknown == 0).then_some(self.map_from_odom)
+    }
+
+    /// Whether scans tell where the robot is in its map: a robot may be driven to a goal by this pose.
+    pub fn is_located(&self) -> bool {
+        let is_by_scans = match self.state() {
+            TrackingState::Starting
+            | TrackingState::Tracking
+            | TrackingState::Degenerate
+            | TrackingState::MapUnreliable => true,
+            TrackingState::Lost | TrackingState::Unconfirmed | TrackingState::Paused => false,
+        };
+        is_by_scans && self.nodes > 0
     }
 
     /// Returns the pose estimate in another map frame, of which `other_from_map` is the pose of this one.

@@ -4,6 +4,7 @@
 //! jumps ([`FrontEnd::process`] shows the stages). What the back end finds out about the past
 //! only moves that frame in the map.
 
+mod answer;
 mod deskew;
 mod kidnap_check;
 mod local_frame;
@@ -13,6 +14,7 @@ mod scan_check;
 mod scan_matcher;
 mod state;
 
+pub(crate) use answer::upper_triangle;
 pub(crate) use motion::SPEED_SIGMA_SHARE;
 pub(crate) use node_builder::UNMEASURED_MAX_S;
 pub use scan_check::ScanRejection;
@@ -22,26 +24,17 @@ use crate::clock_reset::ClockResetDetector;
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
 use crate::node::{MapFrameUpdate, Node, SweptPath};
+use crate::relocalize::LocalFrameEstimate;
 use crate::scan_buffers::ScanBufferPool;
 use crate::stages::{Stage, StageObserver};
 use local_frame::LocalFrameInMap;
 use motion::MotionModel;
 use msg::{Odometry, Pose2, PoseEstimate, Scan, Stamp, TrackingState};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 use node_builder::NodeBuilder;
 use scan_matcher::{ScanMatcher, TrackedPose};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// Standard deviations of a robot that is not located, metres and radians: it may be anywhere.
-const NOT_LOCATED_M: f64 = 100.0;
-const NOT_LOCATED_RAD: f64 = core::f64::consts::PI;
-
-/// Covariance over (x, y, yaw) of a robot that may be anywhere.
-fn unknown_pose_covariance() -> Matrix3<f64> {
-    let variance_m2 = NOT_LOCATED_M.powi(2);
-    Matrix3::from_diagonal(&Vector3::new(variance_m2, variance_m2, NOT_LOCATED_RAD.powi(2)))
-}
 
 /// Counts of scans by what became of them.
 // More than 12 fields: one counter for each outcome of a scan.
@@ -247,6 +240,11 @@ impl FrontEnd {
         self.frame.set(map_from_local);
     }
 
+    /// Sets the pose of the front end's frame in the map to what a person said, until the next frame update.
+    pub fn set_estimate(&mut self, estimate: LocalFrameEstimate) {
+        self.frame.set_estimate(estimate, self.local_from_base());
+    }
+
     /// Requests a node: the next scan that fits becomes one, even if the robot stands.
     pub fn request_node(&mut self) {
         self.node_builder.requested = true;
@@ -349,51 +347,5 @@ impl FrontEnd {
             }
         }
         self.motion.record(stamp, pose.local_from_base, pose.covariance, continuous_from_base);
-    }
-
-    /// The state given out: that of the scan, unless the robot is not located or its map may be wrong.
-    fn state_in_map(&self, pose: &TrackedPose) -> TrackingState {
-        match (self.frame.is_located, pose.state) {
-            (false, _) => TrackingState::Lost,
-            (true, TrackingState::Tracking | TrackingState::Degenerate) if self.frame.is_unreliable => {
-                TrackingState::MapUnreliable
-            }
-            (true, state) => state,
-        }
-    }
-
-    /// The answer to a scan. `continuous_from_base` is `None` if odometry is missing at its stamp: the transform of `odom` stays
-    /// as it was.
-    fn pose_estimate(
-        &mut self,
-        scan: &Scan,
-        pose: &TrackedPose,
-        continuous_from_base: Option<Pose2>,
-    ) -> PoseEstimate {
-        let LocalFrameInMap { map_from_local, is_located, .. } = self.frame;
-        let map_from_base = map_from_local * pose.local_from_base;
-        let c = match is_located {
-            true => self.frame.covariance_in_map(pose.covariance, map_from_base),
-            false => unknown_pose_covariance(),
-        };
-        if let (Some(continuous_from_base), true) = (continuous_from_base, is_located) {
-            self.newest_with_odometry = Some([map_from_base, continuous_from_base.inverse()]);
-        }
-        let continuous_from_odom = self.motion.odometry.continuous_from_odom();
-        let map_from_odom = self.newest_with_odometry.map(|[map_from_base, base_from_continuous]| {
-            map_from_base * (base_from_continuous * continuous_from_odom)
-        });
-        PoseEstimate {
-            header: msg::Header { stamp: scan.header.stamp, ..Default::default() },
-            scan_seq: scan.header.seq,
-            scan_sent: scan.header.sent,
-            map_from_odom: map_from_odom.unwrap_or_default(),
-            map_from_base,
-            covariance: [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]],
-            state: self.state_in_map(pose) as u32,
-            nodes: self.node_builder.next_node,
-            closures: self.frame.closures,
-            map_from_odom_unknown: map_from_odom.is_none().into(),
-        }
     }
 }

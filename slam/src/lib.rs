@@ -227,11 +227,11 @@ pub fn begin(
         (start, _) => {
             let empty = session.back.nodes.is_empty().then_some(Pose2::IDENTITY);
             let mut front = FrontEnd::new(config.clone());
-            front.set_map_from_local(if let InitialPose::Near(estimate) = start {
-                Some(estimate.map_from_local)
-            } else {
-                empty
-            });
+            match start {
+                InitialPose::Near(estimate) if empty.is_none() => front.set_estimate(estimate),
+                InitialPose::Near(estimate) => front.set_map_from_local(Some(estimate.map_from_local)),
+                InitialPose::Continue | InitialPose::Unknown => front.set_map_from_local(empty),
+            }
             let start = if start == InitialPose::Continue { InitialPose::Unknown } else { start };
             (front, BackEnd::resume(config, session.back, session.samples, mode, start))
         }

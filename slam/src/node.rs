@@ -148,6 +148,11 @@ pub struct MapFrameUpdate {
     pub closures: u32,
     /// Whether the robot is located in its map; if not, `map_from_local` is not valid.
     pub located: bool,
+    /// Whether a person said where the robot is, and scans have not confirmed it yet.
+    ///
+    /// A session does not keep it.
+    #[serde(skip)]
+    pub unconfirmed: bool,
     /// Whether there is evidence that the map is wrong: see `ReliabilityEvidence`.
     ///
     /// A session does not keep it: the back end finds it anew.

@@ -11,7 +11,7 @@ use crate::align::{Reference, align};
 use crate::closure::{COMPARED_SCANS, compare_passes};
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
-use crate::node::Node;
+use crate::node::{FrameUncertainty, Node};
 use msg::{Pose2, pose::wrap_angle};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -53,6 +53,18 @@ pub struct LocalFrameEstimate {
     pub sigma_m: f64,
     /// Standard deviation of the robot's heading, radians.
     pub sigma_rad: f64,
+}
+
+impl LocalFrameEstimate {
+    /// Covariance of the robot's pose in the map, by the estimate alone.
+    pub(crate) fn uncertainty(&self, local_from_base: Pose2) -> FrameUncertainty {
+        let at = self.map_from_local * local_from_base;
+        let (position_m2, heading_rad2) = (self.sigma_m.powi(2), self.sigma_rad.powi(2));
+        FrameUncertainty {
+            covariance: [position_m2, 0.0, 0.0, position_m2, 0.0, heading_rad2],
+            at: [at.x_m, at.y_m],
+        }
+    }
 }
 
 /// Counts of relocalization searches by how they ended.
@@ -169,6 +181,12 @@ impl Relocalizer {
     /// The initial estimate that bounds the search, if one was given.
     pub fn initial_estimate(&self) -> Option<LocalFrameEstimate> {
         self.initial_estimate
+    }
+
+    /// Covariance of the newest node's pose by the initial estimate, if one was given.
+    pub fn initial_uncertainty(&self) -> Option<FrameUncertainty> {
+        let newest = self.waiting.back().map_or(Pose2::IDENTITY, |node| node.local_from_base);
+        Some(self.initial_estimate?.uncertainty(newest))
     }
 
     /// Counts of searches by how they ended.

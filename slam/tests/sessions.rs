@@ -5,7 +5,7 @@ mod common;
 
 use common::{FULL, Lidar, Log, Noise, Robot, Wall, bits, cast, laboratory, rectangle, ring, ring_log};
 use msg::grid::{Occupancy, occupancy};
-use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
+use msg::{Odometry, Pose2, PoseEstimate, Scan, SlamMode, TrackingState};
 use slam::session::VERSION;
 use slam::{InitialPose, LocalFrameEstimate, Session, SessionError, SessionIdentity, Slam, SlamConfig};
 
@@ -184,6 +184,38 @@ fn a_robot_that_is_told_where_it_is_is_there_at_once() {
         assert!(said.iter().all(|(_, state)| *state != TrackingState::Lost), "{mode:?}");
         let (mean, most, _) = errors(&said[60..], &log[60..].to_vec(), world_from_map);
         assert!(mean < 0.05 && most < 0.15, "{mode:?}: mean {mean} m, most {most} m");
+    }
+}
+
+#[test]
+fn a_told_pose_is_no_surer_than_it_was_said_until_scans_confirm_it() {
+    let (session, world_from_map) = mapped(&FULL);
+    let log = elsewhere(&FULL, 4);
+    // 2 m beside the true place, where the scans fit nothing.
+    let truth = world_from_map.between(log[0].2);
+    let wrong = Pose2::new(truth.x_m + 2.0, truth.y_m, truth.yaw_rad + 1.0);
+    for (told, is_right) in [(truth, true), (wrong, false)] {
+        let hint = LocalFrameEstimate { map_from_local: told, sigma_m: 0.3, sigma_rad: 0.2 };
+        let start = InitialPose::Near(hint);
+        let mut slam =
+            Slam::begin(SlamConfig::default(), Some(session.clone()), SlamMode::Localization, start);
+        let said: Vec<_> = log[..40]
+            .iter()
+            .map(|(odometry, scan, _)| {
+                slam.add_odometry(odometry);
+                let pose_estimate = slam.process(scan).pose_estimate;
+                slam.work();
+                pose_estimate
+            })
+            .collect();
+        let is_sure = |estimate: &PoseEstimate| estimate.position_sigma_m() < 0.29;
+        let confirmed = said.iter().position(|estimate| estimate.state() == TrackingState::Tracking);
+        assert_eq!(confirmed.is_some(), is_right, "{:?}", said.last());
+        for estimate in &said[..confirmed.unwrap_or(said.len())] {
+            assert_eq!(estimate.state(), TrackingState::Unconfirmed);
+            assert!(!estimate.is_located() && !is_sure(estimate), "{estimate:?}");
+        }
+        assert_eq!(said.last().is_some_and(is_sure), is_right);
     }
 }
 

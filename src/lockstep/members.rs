@@ -3,6 +3,7 @@
 use super::memory_storage::MemoryStorage;
 use super::queues::{MemoryPorts, Network};
 use super::replay::RecordedRobot;
+use super::room_plan::cached_room_plan;
 use super::tcp::{BridgeServer, Port};
 use crate::channel::Opener;
 use crate::ports::Clock;
@@ -245,7 +246,7 @@ impl Body {
                 Self::Merge(Box::new((process, GraphWorker::open(&ports[1], run, state)?)))
             }
             Role::Telemetry => {
-                let plan = crate::process::telemetry::room_plan(&run.config)?;
+                let plan = cached_room_plan(&run.config)?;
                 Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run, plan)?))
             }
             Role::Nav => {

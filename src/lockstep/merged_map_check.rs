@@ -7,7 +7,7 @@ use crate::merge_maps;
 use crate::ports::ReadMapPort as _;
 use crate::storage::Storage as _;
 use msg::grid::known_count;
-use msg::{Monotonic, RobotId, Role};
+use msg::{MapHeader, Monotonic, RobotId, Role};
 use std::time::Duration;
 
 /// Time after a start of merging in which its map may not be smaller than before: longer than it holds its map back.
@@ -23,6 +23,27 @@ pub struct MergedMapCheck {
     before: Option<Vec<usize>>,
     /// Until when the maps are compared, once merging runs again.
     until: Option<Monotonic>,
+    counts: CellCounts,
+}
+
+/// Known cells of each robot's map, then of the merged map; each with the header of the map that was counted.
+#[derive(Default)]
+struct CellCounts(Vec<(MapHeader, usize)>);
+
+impl CellCounts {
+    /// Counts the maps that have changed since the last count, and returns the known cells of all.
+    fn update(&mut self, fleet: &Lockstep) -> Vec<usize> {
+        let maps = &fleet.observer.maps;
+        self.0.resize(maps.len(), Default::default());
+        for ((counted, known), (_, reader, _)) in self.0.iter_mut().zip(maps) {
+            let map = reader.map();
+            if *counted != map.header {
+                *counted = map.header;
+                *known = map.tiles().map(|tile| known_count(&tile.cells)).sum();
+            }
+        }
+        self.0.iter().map(|(_, known)| *known).collect()
+    }
 }
 
 impl MergedMapCheck {
@@ -32,14 +53,14 @@ impl MergedMapCheck {
         let merges = |member: &Member| member.row.role == Role::Merge && member.is_running();
         if !fleet.members.iter().any(merges) {
             // What a full disk kept from being written cannot be continued.
-            let mut known = known_cells(fleet);
+            let mut known = self.counts.update(fleet);
             known[..self.merged_robots.len()].copy_from_slice(&self.merged_robots);
             self.before = self.before.take().or_else(|| are_written(fleet, &known).then_some(known));
             self.until = None;
             return None;
         }
         if fleet.members.iter().any(|member| merges(member) && member.frozen_until <= now) {
-            self.merged_robots = known_cells(fleet);
+            self.merged_robots = self.counts.update(fleet);
             self.merged_robots.pop();
         }
         let before = self.before.as_ref()?;
@@ -47,7 +68,7 @@ impl MergedMapCheck {
             self.before = None;
             return None;
         }
-        let known = known_cells(fleet);
+        let known = self.counts.update(fleet);
         let is_smaller = |(now, before): (&usize, &usize)| (*now as f64) < KNOWN_SHARE_MIN * *before as f64;
         let ((merged, robots), (merged_before, robots_before)) = (known.split_last()?, before.split_last()?);
         // A robot whose own map was begun anew makes the merged map smaller, also for a while after its own has grown.
@@ -72,10 +93,4 @@ fn are_written(fleet: &Lockstep, known: &[usize]) -> bool {
         fleet.world.storage.read(&path, u64::MAX).is_ok()
     };
     robots.into_iter().all(|(robot, known)| *known == 0 || is_written(robot))
-}
-
-/// Returns the known cells of each robot's map, then of the merged map.
-fn known_cells(fleet: &Lockstep) -> Vec<usize> {
-    let maps = fleet.observer.maps.iter();
-    maps.map(|(_, reader, _)| reader.map().tiles().map(|tile| known_count(&tile.cells)).sum()).collect()
 }

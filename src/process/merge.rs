@@ -18,9 +18,7 @@ use crate::run::Run;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
 use ::merge::{FleetPoseGraph, Merger};
-use msg::{
-    MAP_OLD_AFTER_S, MapTransforms, Monotonic, Pose2, PoseEstimate, ROBOTS_MAX, RobotId, Role, TrackingState,
-};
+use msg::{MAP_OLD_AFTER_S, MapTransforms, Monotonic, Pose2, PoseEstimate, ROBOTS_MAX, RobotId, Role};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -316,7 +314,7 @@ fn receive_robot_poses<P: Ports>(
 ) -> bool {
     let mut changed = false;
     while let Some(at) = reader.receive() {
-        if at.state() != TrackingState::Lost && at.nodes > 0 {
+        if at.is_located() {
             changed |= merger.add_robot_pose(robot, at.map_from_base, radius_m);
         }
     }

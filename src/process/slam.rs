@@ -26,8 +26,8 @@ use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
 use crate::time_slice;
 use ::slam::{
-    BackEnd, FrontEnd, FrontEndState, InitialPose, MapFrameUpdate, NODES_IN_FLIGHT_MAX, Node, Session,
-    SlamConfig,
+    BackEnd, FrontEnd, FrontEndState, InitialPose, LocalFrameEstimate, MapFrameUpdate, NODES_IN_FLIGHT_MAX,
+    Node, Session, SlamConfig,
 };
 use back_end::BackEndWorker;
 use files::{FileJobOutcome, SlamFileJob, SlamFileWorker};
@@ -93,8 +93,8 @@ pub enum FrontCommand {
         /// Whether the robot's pose stays valid, because the frame of the map is the same.
         keeps_pose: bool,
     },
-    /// Sets the transform of the front end's frame in the map at once, not with the next node; `None`: unknown.
-    SetMapFromLocal(Option<Pose2>),
+    /// Sets where the front end's frame lies in the map, as a person said, at once and not with the next node; `None`: unknown.
+    SetEstimate(Option<LocalFrameEstimate>),
     /// Applies the back end's newest state at once: its graph has changed without a node.
     ApplyFrameUpdateNow(MapFrameUpdate),
     /// Makes a node of the next scan, because a request waits for one.

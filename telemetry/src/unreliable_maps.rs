@@ -25,7 +25,10 @@ impl UnreliableMaps {
         match pose_estimate.state() {
             TrackingState::MapUnreliable => *is_unreliable = true,
             TrackingState::Tracking | TrackingState::Degenerate => *is_unreliable = false,
-            TrackingState::Starting | TrackingState::Lost => {}
+            TrackingState::Starting
+            | TrackingState::Lost
+            | TrackingState::Unconfirmed
+            | TrackingState::Paused => {}
         }
     }
 

@@ -5,7 +5,7 @@ use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
 use mr_slam::lockstep::client::Client;
 use mr_slam::lockstep::faults::{Fault, FaultPlan};
-use msg::{GroundTruth, Monotonic, Pose2, VelocityCommand};
+use msg::{GroundTruth, Monotonic, Pose2, PoseEstimate, TrackingState, VelocityCommand};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -217,6 +217,28 @@ fn a_robot_stands_in_time_when_the_navigation_process_hangs() {
     }
     assert_eq!(scene.velocity(), (0.0, 0.0), "a zero comes 0.3 s after the last command");
     assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
+}
+
+#[test]
+fn a_robot_whose_slam_is_paused_is_not_driven_and_goes_on_afterwards() {
+    let mut scene = disturbed(|_| Fault::Pause(0, Duration::from_secs(5)));
+    let newest = |scene: &Scene| -> PoseEstimate {
+        let estimates = scene.messages["robot1/pose_estimate"].chunks_exact(size_of::<PoseEstimate>());
+        bytemuck::pod_read_unaligned(estimates.last().unwrap())
+    };
+    while scene.fleet.now().seconds() < 8.5 {
+        scene.run(0.01, |_| false);
+    }
+    assert_eq!(newest(&scene).state(), TrackingState::Paused);
+    assert_eq!(scene.velocity(), (0.0, 0.0), "{}", scene.state);
+    let reason = scene.state["reason"].as_str().unwrap_or_default();
+    assert!(reason.contains("paused"), "{}", scene.state);
+    scene.run(4.0, |_| false);
+    let (at, _) = scene.truth();
+    assert!(scene.velocity() == (0.0, 0.0) && !is_over(&scene.state), "{}", scene.state);
+    assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
+    assert!(at.distance_m(scene.truth().0) > 0.5, "it went on after {at:?}");
+    assert_eq!(newest(&scene).state(), TrackingState::Tracking);
 }
 
 /// The square of 0.6 m around a point of the map.

@@ -4,9 +4,7 @@ use super::Core;
 use super::input::InputError;
 use crate::actions::{ActionGoal, ActionKind, ActionServer, ActionService, GoalEnd, RobotPose};
 use crate::relay::RosRequestId;
-use msg::{
-    Monotonic, NavigationAction, NavigationReport, Pose2, PoseEstimate, RobotId, Stamp, TrackingState,
-};
+use msg::{Monotonic, NavigationAction, NavigationReport, Pose2, PoseEstimate, RobotId, Stamp};
 use ros_messages::actions::{
     FollowWaypointsGoal, GoalId, GoalInfo, GoalStatus, MissedWaypoint, NO_GOAL, NavigateToPoseFeedback,
     NavigateToPoseGoal, read_goal_id, write_cancel_response, write_goal_id, write_goal_response,
@@ -232,10 +230,9 @@ impl Core {
 
     /// Records where a robot is, for the feedback of its goals.
     pub(super) fn record_goal_pose(&mut self, robot: RobotId, pose_estimate: &PoseEstimate) {
-        let is_located = pose_estimate.state() != TrackingState::Lost && pose_estimate.nodes > 0;
         let pose =
             RobotPose { stamp: pose_estimate.header.stamp, map_from_base: pose_estimate.map_from_base };
-        self.offered.actions.record_pose(robot, is_located.then_some(pose));
+        self.offered.actions.record_pose(robot, pose_estimate.is_located().then_some(pose));
     }
 
     /// Ends goals that the navigator does not answer for, and forgets old results.

@@ -50,7 +50,9 @@ impl NavigationState {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum NavigationFailure {
     /// No map has arrived, or the robot does not know where it is in it.
-    #[error("the robot's pose in the map is not known")]
+    #[error(
+        "the robot's pose in the map is not known: its SLAM is lost, paused, or has not confirmed the pose"
+    )]
     NoPose,
     /// Its newest scan is too old to drive by.
     #[error("no scan has arrived for 0.5 s")]

@@ -4,7 +4,7 @@ use super::component_search::nearest_node;
 use super::{BackEnd, BackEndState};
 use crate::closure::ClosureDetector;
 use crate::config::SlamConfig;
-use crate::front_end::{FrontEndState, TrajectorySample};
+use crate::front_end::{FrontEndState, TrajectorySample, upper_triangle};
 use crate::graph::{EdgeKind, Graph};
 use crate::localizer::Localizer;
 use crate::node::{FrameUncertainty, MapFrameUpdate, Node};
@@ -240,17 +240,21 @@ impl BackEnd {
             uncertainty: self.frame_uncertainty(),
             closures: self.loop_closures.active_count,
             located: map_from_local.is_some() && self.is_located(),
+            unconfirmed: self.location.relocalizer.is_some(),
             unreliable: self.reliability_evidence().is_unreliable(),
         }
     }
 
-    /// Covariance of the newest node's pose in the map. In a fixed map it is the map's own frame that counts: none is added.
+    /// Covariance of the newest node's pose in the map, or what a person said about it. In a fixed map it is the map's own frame that
+    /// counts: none is added.
     fn frame_uncertainty(&self) -> FrameUncertainty {
+        if let Some(relocalizer) = &self.location.relocalizer {
+            return relocalizer.initial_uncertainty().unwrap_or_default();
+        }
         let newest = self.nodes.last().filter(|_| self.grows_map());
         newest.map_or(FrameUncertainty::default(), |node| {
             let at = self.graph.poses()[node.id as usize];
-            let c = self.graph.covariance(node.id);
-            let covariance = [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]];
+            let covariance = upper_triangle(self.graph.covariance(node.id));
             FrameUncertainty { covariance, at: [at.x_m, at.y_m] }
         })
     }

@@ -2,6 +2,7 @@
 
 use crate::graph::{carry_covariance, turn_covariance};
 use crate::node::{FrameUncertainty, MapFrameUpdate};
+use crate::relocalize::LocalFrameEstimate;
 use msg::Pose2;
 use nalgebra::Matrix3;
 use std::collections::VecDeque;
@@ -16,6 +17,8 @@ pub(super) struct LocalFrameInMap {
     pub uncertainty: FrameUncertainty,
     /// Whether `map_from_local` is known: whether the robot is located in its map.
     pub is_located: bool,
+    /// Whether a person said where the robot is, and scans have not confirmed it yet.
+    pub is_unconfirmed: bool,
     /// The newest node whose odometry edge is broken: frame updates caused by older nodes do not locate the robot.
     pub last_break: Option<u32>,
     /// Whether there is evidence that the map is wrong, as last reported.
@@ -32,6 +35,7 @@ impl LocalFrameInMap {
             map_from_local: Pose2::IDENTITY,
             uncertainty: FrameUncertainty::default(),
             is_located: true,
+            is_unconfirmed: false,
             last_break: None,
             is_unreliable: false,
             closures: 0,
@@ -42,10 +46,18 @@ impl LocalFrameInMap {
     /// Sets the pose at once; `None` marks the robot as not located.
     pub fn set(&mut self, map_from_local: Option<Pose2>) {
         self.is_located = map_from_local.is_some();
+        self.is_unconfirmed = false;
         self.last_break = None;
         self.map_from_local = map_from_local.unwrap_or(self.map_from_local);
         self.uncertainty = FrameUncertainty::default();
         self.frame_updates.clear();
+    }
+
+    /// Sets the pose at once to what a person said, the robot being at `local_from_base`.
+    pub fn set_estimate(&mut self, estimate: LocalFrameEstimate, local_from_base: Pose2) {
+        self.set(Some(estimate.map_from_local));
+        self.uncertainty = estimate.uncertainty(local_from_base);
+        self.is_unconfirmed = true;
     }
 
     /// Records an odometry break at a node: from there on the robot is not located in its map.
@@ -85,6 +97,7 @@ impl LocalFrameInMap {
     fn apply(&mut self, frame_update: MapFrameUpdate) {
         self.map_from_local = frame_update.map_from_local;
         self.is_located = frame_update.located && self.last_break.is_none_or(|at| frame_update.cause >= at);
+        self.is_unconfirmed = frame_update.unconfirmed;
         self.apply_quality(frame_update);
     }
 

@@ -104,11 +104,13 @@ impl<P: Ports> Inputs<P> {
                 state.set_frames(&links, now.min(links.header.sent));
             }
             if let Some(pose_estimate) = pose_estimates.newest() {
-                let is_located = pose_estimate.state() != TrackingState::Lost && pose_estimate.nodes > 0;
+                let is_located = pose_estimate.is_located();
                 state.map_from_odom = pose_estimate.map_from_odom().filter(|_| is_located);
                 state.uncertainty =
                     is_located.then(|| uncertainty(&pose_estimate)).filter(|known| known.sigma_m.is_finite());
-                state.corrected = Some(now.min(pose_estimate.header.sent));
+                // SLAM that is paused looks at no scan: the robot has no SLAM.
+                let is_paused = pose_estimate.state() == TrackingState::Paused;
+                state.corrected = (!is_paused).then(|| now.min(pose_estimate.header.sent));
             }
             if map_from_robot_map(transforms.as_ref(), *robot).is_none() {
                 map.receive();

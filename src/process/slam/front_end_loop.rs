@@ -7,7 +7,7 @@ use crate::process::heartbeat::{HealthCounters, Heartbeat};
 use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
 use ::slam::{FrontEnd, FrontEndState};
-use msg::{Header, Monotonic, Odometry, Pose2, PoseEstimate, RobotId, Role, Scan};
+use msg::{Header, Monotonic, Odometry, Pose2, PoseEstimate, RobotId, Role, Scan, TrackingState};
 use std::sync::mpsc::{Receiver, SyncSender};
 
 /// Scans for which a front end that begins at the last known `odom` waits for odometry: without it, the pose of the
@@ -167,9 +167,8 @@ impl FrontEndRunner {
                     self.report(FrontEvent::Replaced(old));
                     self.number = number;
                 }
-                FrontCommand::SetMapFromLocal(map_from_local) => {
-                    self.front.set_map_from_local(map_from_local)
-                }
+                FrontCommand::SetEstimate(Some(estimate)) => self.front.set_estimate(estimate),
+                FrontCommand::SetEstimate(None) => self.front.set_map_from_local(None),
                 FrontCommand::ApplyFrameUpdateNow(frame_update) => {
                     self.front.apply_frame_update(frame_update)
                 }
@@ -205,7 +204,11 @@ impl FrontEndRunner {
 
     /// Returns the answer to a scan, if there is one, and whether the scan was valid.
     fn process(&mut self, scan: &Scan) -> (Option<PoseEstimate>, bool) {
-        if self.paused || self.waits_for_odometry(scan) {
+        if self.paused {
+            self.last = self.last.map(|last| self.paused_estimate(last, scan));
+            return (self.last, true);
+        }
+        if self.waits_for_odometry(scan) {
             self.last = self.last.map(|last| self.dead_reckoned(last, scan));
             return (self.last, true);
         }
@@ -247,6 +250,13 @@ impl FrontEndRunner {
             }
             None => {}
         }
+    }
+
+    /// Returns the pose by odometry alone, and how well that is known.
+    fn paused_estimate(&mut self, last: PoseEstimate, scan: &Scan) -> PoseEstimate {
+        let estimate = self.dead_reckoned(last, scan);
+        let covariance = self.front.covariance_by_odometry(scan.header.stamp, estimate.map_from_base);
+        PoseEstimate { covariance, state: TrackingState::Paused as u32, ..estimate }
     }
 
     /// Returns the pose by odometry alone, while scans are ignored; without odometry, the last pose.

@@ -108,7 +108,7 @@ impl<P: Ports> Services<P> {
             SlamRequestKind::Relocalize => {
                 has_map(state)?;
                 state.back.start_relocalization(None);
-                state.commands.send(FrontCommand::SetMapFromLocal(None));
+                state.commands.send(FrontCommand::SetEstimate(None));
                 state.commands.send(FrontCommand::RequestNode);
                 done("the robot is looked for in the whole map: from where it stands, and as it moves")
             }
@@ -200,12 +200,13 @@ impl<P: Ports> Services<P> {
                 let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
                 let local_from_base = front.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
                 let map_from_local = request.pose * local_from_base.inverse();
-                state.back.start_relocalization(Some(LocalFrameEstimate {
+                let estimate = LocalFrameEstimate {
                     map_from_local,
                     sigma_m: or(request.sigma_m, m),
                     sigma_rad: or(request.sigma_rad, rad),
-                }));
-                state.commands.send(FrontCommand::SetMapFromLocal(Some(map_from_local)));
+                };
+                state.back.start_relocalization(Some(estimate));
+                state.commands.send(FrontCommand::SetEstimate(Some(estimate)));
                 state.commands.send(FrontCommand::RequestNode);
                 self.respond(&request, done("the robot is looked for around there"), state);
             }

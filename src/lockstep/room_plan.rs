@@ -1,0 +1,41 @@
+//! The plan of a fleet's room, computed once for all runs of a program in the same room: it takes as long as some ten seconds of a run.
+
+use crate::config::{FleetConfig, RobotSource};
+use crate::fleet::FleetError;
+use crate::process::telemetry::room_plan;
+use msg::Grid;
+use std::collections::VecDeque;
+use std::fs;
+use std::sync::Mutex;
+use std::time::SystemTime;
+
+/// Plans that are kept; beyond them the oldest is dropped.
+const PLANS_MAX: usize = 8;
+
+/// The room of a configuration; for a file also its length and when it was written last.
+type RoomKey = (String, Option<(u64, SystemTime)>);
+
+/// The newest plans, oldest first.
+static PLANS: Mutex<VecDeque<(RoomKey, Option<Grid>)>> = Mutex::new(VecDeque::new());
+
+/// Returns the plan of the room, as [`room_plan`] does.
+pub(super) fn cached_room_plan(config: &FleetConfig) -> Result<Option<Grid>, FleetError> {
+    if config.world != RobotSource::Simulator {
+        return room_plan(config);
+    }
+    let path = config.fleet.room.clone();
+    let written = fs::metadata(&path).ok().and_then(|file| Some((file.len(), file.modified().ok()?)));
+    let key = (path, written);
+    // A thread that panicked here has left whole entries.
+    let plans = || PLANS.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    if let Some((_, plan)) = plans().iter().find(|(known, _)| *known == key) {
+        return Ok(plan.clone());
+    }
+    let plan = room_plan(config)?;
+    let mut plans = plans();
+    if plans.len() == PLANS_MAX {
+        plans.pop_front();
+    }
+    plans.push_back((key, plan.clone()));
+    Ok(plan)
+}
