@@ -62,6 +62,16 @@ pub enum SensorMessage {
     Odometry(Odometry),
 }
 
+impl SensorMessage {
+    /// Whether it is a scan, and its stamp: no robot sends two such messages of one stamp.
+    fn order(&self) -> (bool, Stamp) {
+        match self {
+            Self::Odometry(odometry) => (false, odometry.header.stamp),
+            Self::Scan(scan) => (true, scan.stamp),
+        }
+    }
+}
+
 /// What one robot sent, in order of time.
 #[derive(Clone, Debug, Default)]
 pub struct RobotRecording {
@@ -91,6 +101,8 @@ pub struct FleetRecording {
     pub malformed: u64,
     /// Messages that were left out, because there are too many.
     pub left_out: u64,
+    /// Messages that were left out, because another file has them, too.
+    pub duplicates: u64,
     ranges_bytes: usize,
     scan: Box<Scan>,
 }
@@ -106,7 +118,17 @@ impl FleetRecording {
         }
         let robots = vec![RobotRecording::default(); names.count()];
         let (clock, ends) = (Vec::new(), Stamp(0));
-        Self { meanings, robots, clock, ends, malformed: 0, left_out: 0, ranges_bytes: 0, scan }
+        Self {
+            meanings,
+            robots,
+            clock,
+            ends,
+            malformed: 0,
+            left_out: 0,
+            duplicates: 0,
+            ranges_bytes: 0,
+            scan,
+        }
     }
 
     /// Adds a message of the recording. Those of other topics are ignored, malformed ones are counted.
@@ -164,12 +186,17 @@ impl FleetRecording {
         }
     }
 
-    /// Sorts each robot's messages by time, odometry before the scan of the same moment.
+    /// Sorts each robot's messages by time, odometry before the scan of the same moment. A message that is in several files is kept
+    /// once.
     pub fn sort(&mut self) {
         for robot in &mut self.robots {
-            robot.messages.sort_by_key(|(at, message)| (*at, matches!(message, SensorMessage::Scan(_))));
+            robot.messages.sort_by_key(|(at, message)| (*at, message.order()));
+            let all = robot.messages.len();
+            robot.messages.dedup_by_key(|(_, message)| message.order());
+            self.duplicates += (all - robot.messages.len()) as u64;
         }
         self.clock.sort();
+        self.clock.dedup();
     }
 
     /// Returns whether it begins after the robots: one of them has driven by its first odometry, which begins at zero.

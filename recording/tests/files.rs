@@ -277,11 +277,15 @@ fn a_fleets_odometry_is_exact_and_before_its_scan() {
         ("/clock", "rosgraph_msgs/Clock", 9, vec![0, 1, 0, 0, 0, 0, 0, 0, 9, 0, 0, 0]),
     ]);
     let mut recording = FleetRecording::new(&RobotNames::from(1), "odom_2d", scan_buffer());
-    let mut reader = RecordingReader::new(&bytes[..]);
-    while let Some(message) = reader.next_message().unwrap() {
-        recording.add(&message);
+    // Two recorders of one run have the same messages.
+    for file in [&bytes, &bytes] {
+        let mut reader = RecordingReader::new(&file[..]);
+        while let Some(message) = reader.next_message().unwrap() {
+            recording.add(&message);
+        }
     }
     recording.sort();
+    assert_eq!((recording.robots[0].messages.len(), recording.duplicates), (2, 2));
     let messages = &recording.robots[0].messages;
     let (_, SensorMessage::Odometry(Odometry { odom_from_base, .. })) = &messages[0] else {
         panic!("odometry comes first: {messages:?}")

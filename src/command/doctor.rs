@@ -9,6 +9,7 @@ use crate::resources;
 use crate::shared_memory::SHARED_MEMORY;
 use crate::time_slice;
 use bridge::dds::{Discovery, DiscoveryVariables};
+use clap::builder::RangedU64ValueParser;
 use msg::{Monotonic, ROBOTS_MAX};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
@@ -24,7 +25,7 @@ pub struct DoctorArgs {
     #[arg(long)]
     pub json: bool,
     /// Number of robots of the fleet that is to run [default: 3]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..=msg::ROBOTS_MAX as u64))]
     pub robots: Option<usize>,
     /// TCP port that should be free
     #[arg(long, value_name = "P", default_value_t = 10_000)]

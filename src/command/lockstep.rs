@@ -26,7 +26,7 @@ pub struct LockstepArgs {
     #[command(flatten)]
     pub fleet: FleetArgs,
     /// Duration of the run in virtual time, seconds; an exploration ends it
-    #[arg(long, value_name = "S", default_value_t = 60)]
+    #[arg(long, value_name = "S", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=86_400))]
     pub seconds: u32,
     /// Drive the robots one after the other, as one operator would, and not all at once
     #[arg(long)]
@@ -57,6 +57,10 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let mut hash = Sha256::new();
     let begin = |path: &PathBuf| begin_recording(path, &config, &fleet);
     let mut recording = args.record.as_ref().map(begin).transpose()?;
+    // A folder that cannot be written is said before the run.
+    if let Some(dir) = &args.run_dir {
+        std::fs::create_dir_all(dir).map_err(|why| format!("{}: {why}", dir.display()))?;
+    }
     let begun = Instant::now();
     for second in 0..args.seconds {
         for _ in 0..100 {
@@ -117,7 +121,6 @@ fn draw_faults(args: &LockstepArgs) -> FaultPlan {
 
 /// Writes the maps and the robots' sessions into a folder.
 fn write_results(dir: &Path, fleet: &mut Lockstep) -> Result<(), Error> {
-    std::fs::create_dir_all(dir)?;
     fleet.write_maps(|name| dir.join(name))?;
     let folder = dir.join(sessions::FOLDER);
     sessions::create_folder(&folder, fleet.known_starts())?;

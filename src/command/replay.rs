@@ -24,6 +24,7 @@ use crate::config::Mode;
 use crate::config::{FleetConfig, recorded_log_slam};
 use crate::session_file;
 use crate::sessions::TOLD_SIGMA;
+use clap::builder::RangedU64ValueParser;
 use formats::carmen::LaserLine;
 use formats::map_file::write_map_with_reasons;
 use merge::MergeConfig;
@@ -100,7 +101,7 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub skip: usize,
     /// Number of scans to use [default: all]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     pub scans: Option<usize>,
     /// Serving of a fleet's recording to clients.
     #[command(flatten)]
@@ -189,9 +190,13 @@ struct Replayed {
 
 fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed, ReplayError> {
     let mut records = log.records();
-    let Some(first) = (0..=args.skip).map_while(|_| records.next_laser()).nth(args.skip) else {
-        let (skipped, malformed) = (records.skipped(), records.malformed);
-        return Err(ReplayError::NoScan { path: args.logs[0].clone(), skipped, malformed });
+    let skipped_scans = (0..args.skip).map_while(|_| records.next_laser()).count();
+    let Some(first) = records.next_laser() else {
+        let (path, skipped, malformed) = (args.logs[0].clone(), records.skipped(), records.malformed);
+        return Err(match skipped_scans {
+            0 => ReplayError::NoScan { path, skipped, malformed },
+            scans => ReplayError::AllSkipped { path, scans, skip: args.skip },
+        });
     };
     let on_robot = first.base_from_scan;
     config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];

@@ -39,6 +39,16 @@ pub enum ReplayError {
         /// Number of malformed lines.
         malformed: u64,
     },
+    /// All scans of a log are skipped.
+    #[error("{path} has {scans} scans, and --skip leaves out {skip}; expected less")]
+    AllSkipped {
+        /// Path of the file.
+        path: PathBuf,
+        /// Number of scans.
+        scans: usize,
+        /// Number of scans to skip.
+        skip: usize,
+    },
     /// A recording has no scan that can be used.
     #[error(
         "{path} has no usable scan: {malformed} are malformed, {without_odometry} have no odometry within 0.5 s; see --odom-topic, \

@@ -132,6 +132,10 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<FleetRecording, Repla
         }
     }
     recording.sort();
+    if recording.duplicates > 0 {
+        let count = recording.duplicates;
+        output::note(&format!("{count} messages of the robots are in several files; each is used once"));
+    }
     if !recording.has_scans() {
         return Err(ReplayError::Replay("the recording has no scans of the fleet's robots".into()));
     }

@@ -86,6 +86,15 @@ fn a_log_without_scans_says_what_was_expected() {
 }
 
 #[test]
+fn a_log_whose_scans_are_all_skipped_says_how_many_it_has() {
+    let all = |skip| ReplayArgs { skip, ..args(Path::new("box.log")) };
+    let fed = |skip| feed(&Log::Carmen(log().into_bytes()), SlamConfig::default(), &all(skip));
+    assert_eq!(fed(8).unwrap().summary.scans, 1);
+    let message = fed(9).err().unwrap().to_string();
+    assert!(message.contains("box.log has 9 scans") && message.contains("--skip"), "{message}");
+}
+
+#[test]
 fn figures_that_were_not_measured_are_null() {
     let json = serde_json::to_value(Summary::default()).unwrap();
     for name in ["wall_s", "times_real_time", "scan_ms", "back_end_ms", "map_width", "map_height", "map_ms"] {
