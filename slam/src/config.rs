@@ -267,7 +267,8 @@ pub struct GraphConfig {
     /// closure, 0 to 1.
     pub new_share: f64,
     /// Standard deviation of errors of the heading that repeat along a way, radians per metre; 0 or more. They add up as they
-    /// are, not as variances: a loop of 150 m may be 4 m off, as in a large hall whose far walls bend all links alike.
+    /// are, not as variances, and bend the whole way to one side: a loop of 150 m may be 4 m off, as in a large hall whose far walls
+    /// bend all links alike.
     pub bias_rad_per_m: f64,
     /// Standard deviations by which the solved graph contradicts a closure that is then removed;
     /// above 0. 10 instead of 6 gave the same error.

@@ -49,7 +49,7 @@ pub use closure::ClosureSearchCounts;
 pub use cloud::{Cloud, CloudScratch, SurfacePoint};
 pub use config::*;
 pub use front_end::{FrontEnd, FrontEndCounts, FrontEndState, ScanRejection, ScanResult, TrajectorySample};
-pub use graph::{Edge, EdgeKind, Graph, RelativeUncertainty};
+pub use graph::{Edge, EdgeKind, Graph, RelativeUncertainty, RepeatedError};
 pub use localizer::LocalizerCounts;
 pub use mapper::OccupancyMapper;
 pub use node::{FrameUncertainty, MapFrameUpdate, Node, Rays, SweptPath};

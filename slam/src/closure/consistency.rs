@@ -8,16 +8,13 @@ use super::ClosureCandidate;
 use crate::config::LinkConfig;
 use crate::graph::{Graph, RelativeUncertainty, UNOBSERVED, turn_covariance};
 use msg::pose::wrap_angle;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use posegraph::limit_information;
 
-/// Squared error of a closure that the way admits, in variances, where errors are independent: the 50 % quantile of a chi-squared
-/// distribution of three degrees of freedom. The covariance of a path is cautious, so that it admits most right closures all the same: on the
-/// generated seeds 0..144 (as drawn before 2026-11-28), 741 right and 9 wrong ones are part of the graph at the end with it, and 788 and 30 with the 90 % quantile.
-const CHI_SQUARED_MAX: f64 = 2.37;
-/// The same where errors that repeat along the way count too, which are no more than they are: the 75 % quantile. fhw needs 3.5, and is the same up
-/// to 6.25.
-const CHI_SQUARED_SYSTEMATIC_MAX: f64 = 4.11;
+/// Squared error of a closure that the way admits, in variances: the 75 % quantile of a chi-squared distribution of three degrees of freedom. The
+/// covariance of a path is cautious, so that it admits nearly all right closures all the same. At the 50 % quantile 60 finds in a row
+/// of intel at 90° would be refused that are right (3.5 to 3.8).
+const CHI_SQUARED_MAX: f64 = 4.11;
 
 /// Whether the graph, before this closure, admits it: its error in standard deviations of both. `known` is how well the node is
 /// known as seen from the candidate: the errors that repeat are taken from it. `None` where nothing joins them.
@@ -37,18 +34,16 @@ pub(super) fn is_consistent(
     let Some(measured) = information.try_inverse() else { return true };
     let found = a * closure.older_from_newer;
     let error = Vector3::new(found.x_m - b.x_m, found.y_m - b.y_m, wrap_angle(found.yaw_rad - b.yaw_rad));
-    let RelativeUncertainty { bias_m, bias_rad, .. } = known.unwrap_or_default();
-    let bias = Vector3::new(bias_m, bias_m, bias_rad).map(|sigma| sigma * sigma);
-    let covariance = path_covariance + Matrix3::from_diagonal(&bias) + turn_covariance(measured, a.yaw_rad);
-    let most = if bias_m > 0.0 { CHI_SQUARED_SYSTEMATIC_MAX } else { CHI_SQUARED_MAX };
-    covariance.try_inverse().is_none_or(|inverse| (error.transpose() * inverse * error)[0] < most)
+    let bias = known.unwrap_or_default().bias;
+    let covariance = path_covariance + bias.covariance() + turn_covariance(measured, a.yaw_rad);
+    covariance.try_inverse().is_none_or(|inverse| (error.transpose() * inverse * error)[0] < CHI_SQUARED_MAX)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::SlamConfig;
-    use crate::graph::EdgeKind;
+    use crate::graph::{EdgeKind, RepeatedError};
     use msg::Pose2;
     use posegraph::information_from_sigmas;
 
@@ -72,21 +67,25 @@ mod tests {
     #[test]
     fn an_equal_aisle_three_metres_beside_is_refused_unless_odometry_may_err_so_far() {
         let links = SlamConfig::default().links;
-        // Found in the old aisle, where the path began, instead of 3 m beside it.
-        let closure = |y_m: f64| ClosureCandidate {
+        let closure = |x_m: f64, y_m: f64| ClosureCandidate {
             newer: 21,
             older: 0,
-            older_from_newer: Pose2::new(0.0, y_m, core::f64::consts::PI),
+            older_from_newer: Pose2::new(x_m, y_m, core::f64::consts::PI),
             information: information_from_sigmas(0.01, 0.003),
             response: 0.9,
         };
+        // Found in the old aisle, where the path began, instead of 3 m beside it.
+        let beside = closure(0.0, 0.0);
         let good = there_and_back(0.05, 0.01);
-        assert!(is_consistent(&good, &closure(3.0), &links, None));
-        assert!(is_consistent(&good, &closure(2.9), &links, None));
-        assert!(!is_consistent(&good, &closure(0.0), &links, None));
-        let bias = RelativeUncertainty { bias_m: 2.0, bias_rad: 0.1, ..RelativeUncertainty::default() };
-        assert!(is_consistent(&good, &closure(0.0), &links, Some(bias)), "what repeats may make 3 m of 20 m");
+        assert!(is_consistent(&good, &closure(0.0, 3.0), &links, None));
+        assert!(is_consistent(&good, &closure(0.0, 2.9), &links, None));
+        assert!(!is_consistent(&good, &beside, &links, None));
+        let bias = RepeatedError { moved_m: [0.0, 2.0], turned_rad: 0.01 };
+        let bias = RelativeUncertainty { bias, ..RelativeUncertainty::default() };
+        assert!(is_consistent(&good, &beside, &links, Some(bias)), "what repeats may make 3 m of 20 m");
+        let ahead = closure(-3.0, 3.0);
+        assert!(!is_consistent(&good, &ahead, &links, Some(bias)), "to one side, and not ahead");
         let bad = there_and_back(0.3, 0.15);
-        assert!(is_consistent(&bad, &closure(0.0), &links, None));
+        assert!(is_consistent(&bad, &beside, &links, None));
     }
 }

@@ -1,6 +1,6 @@
 //! Which errors of the way a closure search counts: it looks first where random errors allow, then where systematic ones do.
 
-use crate::graph::RelativeUncertainty;
+use crate::graph::{RelativeUncertainty, RepeatedError};
 
 /// Errors of the way that a search counts.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -15,14 +15,15 @@ impl ErrorModel {
     /// Returns what is known of a node with these errors.
     pub(super) fn apply(self, known: RelativeUncertainty) -> RelativeUncertainty {
         match self {
-            Self::Random => RelativeUncertainty { bias_m: 0.0, bias_rad: 0.0, ..known },
+            Self::Random => RelativeUncertainty { bias: RepeatedError::default(), ..known },
             Self::Systematic => known.with_bias(),
         }
     }
 
     /// Whether a search that counts them differs from one that does not.
     pub(super) fn has_effect(self, known: Option<RelativeUncertainty>) -> bool {
-        self == Self::Random || known.is_some_and(|known| known.bias_m.powi(2) > known.position_variance_m2)
+        self == Self::Random
+            || known.is_some_and(|known| known.bias.distance_m().powi(2) > known.position_variance_m2)
     }
 }
 
@@ -31,6 +32,7 @@ mod tests {
     use super::*;
     use crate::config::SlamConfig;
     use crate::graph::{EdgeKind, Graph};
+    use core::f64::consts::PI;
     use msg::Pose2;
     use posegraph::information_from_sigmas;
 
@@ -46,15 +48,43 @@ mod tests {
             }
         }
         let known = graph.uncertainty_from(0, f64::INFINITY);
-        let [near, far] = [8, 150].map(|id: usize| known[id].unwrap());
-        // 0.5 mrad a metre: 75 mrad, and 5.6 m to the side.
-        assert!((far.bias_rad - 0.075).abs() < 1e-9 && (far.bias_m - 5.5875).abs() < 1e-6, "{far:?}");
+        let [near, far] = [4, 150].map(|id: usize| known[id].unwrap());
+        // 1 mrad a metre: 150 mrad, and 11 m to the side.
+        assert!((far.bias.turned_rad.abs() - 0.15).abs() < 1e-9, "{far:?}");
+        assert!((far.bias.distance_m() - 11.3).abs() < 0.1 && far.bias.moved_m[0].abs() < 1e-9, "{far:?}");
         assert!(
             ErrorModel::Systematic.has_effect(Some(far)) && !ErrorModel::Systematic.has_effect(Some(near))
         );
         assert!(ErrorModel::Random.has_effect(Some(near)) && ErrorModel::Random.has_effect(None));
-        assert!(ErrorModel::Systematic.apply(far).position_variance_m2.sqrt() > 5.58);
+        assert!(ErrorModel::Systematic.apply(far).position_variance_m2.sqrt() > 11.2);
         assert!(ErrorModel::Random.apply(far).position_variance_m2.sqrt() < 4.0);
-        assert_eq!(ErrorModel::Random.apply(far).bias_m, 0.0);
+        assert_eq!(ErrorModel::Random.apply(far).bias, RepeatedError::default());
+    }
+
+    #[test]
+    fn there_and_back_a_bend_displaces_the_end_less_than_straight_on() {
+        let way = |turns_back: bool| {
+            let mut graph = Graph::new(SlamConfig::default().graph);
+            for id in 0..=100 {
+                let x_m = if turns_back && id > 50 { 100.0 - f64::from(id) } else { f64::from(id) };
+                graph.add_node(Pose2::new(x_m, 0.0, if turns_back && id > 50 { PI } else { 0.0 }));
+                if id > 0 {
+                    let (poses, ends) = (graph.poses(), [id as u32 - 1, id as u32]);
+                    let moved = poses[ends[0] as usize].between(poses[ends[1] as usize]);
+                    let information = information_from_sigmas(0.01, 0.003);
+                    graph.add_edge(ends, moved, information, EdgeKind::ScanMatch, [0.0; 2]);
+                }
+            }
+            // As seen from the end, and from the beginning.
+            [(100, 0), (0, 100)]
+                .map(|(from, to)| graph.uncertainty_from(from, f64::INFINITY)[to].unwrap().bias)
+        };
+        for (straight, back) in way(false).into_iter().zip(way(true)) {
+            assert!(
+                (straight.turned_rad.abs() - back.turned_rad.abs()).abs() < 1e-9,
+                "{straight:?} {back:?}"
+            );
+            assert!(straight.distance_m() > 1.9 * back.distance_m(), "{straight:?} {back:?}");
+        }
     }
 }

@@ -145,7 +145,7 @@ impl Default for GraphConfig {
             step_min: 1e-4,
             cauchy_sigmas: 2.0,
             new_share: 0.1,
-            bias_rad_per_m: 0.0005,
+            bias_rad_per_m: 0.001,
             retract_sigmas: 6.0,
             frame_update_lag_nodes: 4,
         }
