@@ -3,12 +3,14 @@
 //! Magazine 2010; graduated robustness after Yang et al., "Graduated non-convexity", RA-L 2020).
 
 mod pose_covariance;
+mod relative_uncertainty;
 
 pub(crate) use pose_covariance::{carry_covariance, turn_covariance};
+pub use relative_uncertainty::{RelativeUncertainty, RepeatedError};
 
 use crate::config::GraphConfig;
 use msg::Pose2;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 use posegraph::{Kernel, SolveError, SolverOptions, Summary, information_without_axis};
 use serde::{Deserialize, Serialize};
 
@@ -101,75 +103,6 @@ impl Edge {
             a_from_b: self.a_from_b,
             information: self.measured_information(),
             kernel: Kernel::Quadratic,
-        }
-    }
-}
-
-/// Uncertainty of a node's pose as seen from another one.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RelativeUncertainty {
-    /// Variance of the position, m².
-    pub position_variance_m2: f64,
-    /// Variance of the heading, rad².
-    pub heading_variance_rad2: f64,
-    /// On top, what errors of the heading that repeat along the way make of it.
-    pub bias: RepeatedError,
-}
-
-/// What one standard deviation of errors of the heading that repeat along a way makes of the pose at one end, as seen from the other: a bend
-/// that is the same everywhere displaces the end to one side only, and turns it (Kelly, "Linearized error propagation in odometry",
-/// International Journal of Robotics Research 23(2), 2004).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RepeatedError {
-    /// Displacement of the end, in the axes of the map, metres.
-    pub moved_m: [f64; 2],
-    /// Turn of the end, radians.
-    pub turned_rad: f64,
-}
-
-impl RepeatedError {
-    /// The error with one more bend at the beginning of the way, from where the end is at `to_end_m`.
-    fn bent(self, bend_rad: f64, to_end_m: [f64; 2]) -> Self {
-        let [x_m, y_m] = self.moved_m;
-        Self {
-            moved_m: [x_m - bend_rad * to_end_m[1], y_m + bend_rad * to_end_m[0]],
-            turned_rad: self.turned_rad + bend_rad,
-        }
-    }
-
-    /// How far the end is displaced, metres.
-    pub fn distance_m(&self) -> f64 {
-        self.moved_m[0].hypot(self.moved_m[1])
-    }
-
-    /// Covariance of the end's pose over (x, y, yaw), in the axes of the map: its errors are all due to one bend.
-    pub fn covariance(&self) -> Matrix3<f64> {
-        let error = Vector3::new(self.moved_m[0], self.moved_m[1], self.turned_rad);
-        error * error.transpose()
-    }
-}
-
-impl RelativeUncertainty {
-    /// The uncertainty beyond one more edge, from whose other end the first node is at `to_first_m`, in the axes of the map. Independent
-    /// errors add up as variances, what repeats adds up as it is; the edge is `backwards` if it leads to an older node.
-    fn beyond(self, edge: &Edge, backwards: bool, to_first_m: [f64; 2], bias_rad_per_m: f64) -> Self {
-        let length_squared = edge.a_from_b.x_m.powi(2) + edge.a_from_b.y_m.powi(2);
-        let sign = if backwards { 1.0 } else { -1.0 };
-        Self {
-            position_variance_m2: self.position_variance_m2
-                + self.heading_variance_rad2 * length_squared
-                + edge.variance[0],
-            heading_variance_rad2: self.heading_variance_rad2 + edge.variance[1],
-            bias: self.bias.bent(sign * bias_rad_per_m * length_squared.sqrt(), to_first_m),
-        }
-    }
-
-    /// The uncertainty with the errors that repeat in its variances.
-    pub fn with_bias(self) -> Self {
-        Self {
-            position_variance_m2: self.position_variance_m2 + self.bias.distance_m().powi(2),
-            heading_variance_rad2: self.heading_variance_rad2 + self.bias.turned_rad.powi(2),
-            ..self
         }
     }
 }
@@ -320,39 +253,6 @@ impl Graph {
     /// Squared error of an edge in standard deviations.
     pub fn chi_squared(&self, edge: &Edge) -> f64 {
         edge.constraint().chi_squared(self.poses[edge.a as usize], self.poses[edge.b as usize])
-    }
-
-    /// How well the nodes around `from` are known as seen from it: the best single way through the
-    /// graph to each, which overestimates what all ways together would give. Nodes beyond
-    /// `position_variance_max_m2` (m²) are `None`. Errors of the heading that repeat count as `graph.bias_rad_per_m` says.
-    pub fn uncertainty_from(
-        &self,
-        from: u32,
-        position_variance_max_m2: f64,
-    ) -> Vec<Option<RelativeUncertainty>> {
-        let mut known: Vec<Option<RelativeUncertainty>> = vec![None; self.poses.len()];
-        let mut open = std::collections::BinaryHeap::new();
-        known[from as usize] = Some(RelativeUncertainty::default());
-        open.push((core::cmp::Reverse(0_u64), from));
-        while let Some((core::cmp::Reverse(bits), node)) = open.pop() {
-            let Some(here) = known[node as usize] else { continue };
-            if here.position_variance_m2.to_bits() != bits {
-                continue;
-            }
-            for edge in self.edges_of(node) {
-                let next = if edge.a == node { edge.b } else { edge.a };
-                let [first, next_pose] = [from, next].map(|id| self.poses[id as usize]);
-                let to_first_m = [first.x_m - next_pose.x_m, first.y_m - next_pose.y_m];
-                let there = here.beyond(edge, next < node, to_first_m, self.config.bias_rad_per_m);
-                let better =
-                    known[next as usize].is_none_or(|k| there.position_variance_m2 < k.position_variance_m2);
-                if better && there.position_variance_m2 <= position_variance_max_m2 {
-                    known[next as usize] = Some(there);
-                    open.push((core::cmp::Reverse(there.position_variance_m2.to_bits()), next));
-                }
-            }
-        }
-        known
     }
 
     /// Moves all nodes but the first to a minimum of the edges' robust errors. `graduated`: new edges

@@ -55,12 +55,9 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let mut checker = Checker::new(&config)?;
     let mut exploration = config.fleet.explore.then(|| WatchedExploration::new(config.fleet.robots));
     let mut hash = Sha256::new();
-    let begin = |path: &PathBuf| begin_recording(path, &config, &fleet);
-    let mut recording = args.record.as_ref().map(begin).transpose()?;
-    // A folder that cannot be written is said before the run.
-    if let Some(dir) = &args.run_dir {
-        std::fs::create_dir_all(dir).map_err(|why| format!("{}: {why}", dir.display()))?;
-    }
+    let mut recording =
+        args.record.as_ref().map(|path| begin_recording(path, &config, &fleet)).transpose()?;
+    args.run_dir.as_deref().map_or(Ok(()), create_run_dir)?;
     let begun = Instant::now();
     for second in 0..args.seconds {
         for _ in 0..100 {
@@ -117,6 +114,11 @@ fn draw_faults(args: &LockstepArgs) -> FaultPlan {
     let faults = FaultPlan::draw(seed, quiet_from(args.seconds));
     output::note(&format!("{faults:?}"));
     faults
+}
+
+/// Creates the folder of the results, before the run: a folder that cannot be written is said at once.
+fn create_run_dir(dir: &Path) -> Result<(), Error> {
+    Ok(std::fs::create_dir_all(dir).map_err(|why| format!("{}: {why}", dir.display()))?)
 }
 
 /// Writes the maps and the robots' sessions into a folder.
