@@ -47,10 +47,7 @@ pub struct LockstepArgs {
 
 /// Runs the fleet, and prints its figures and the hash of all its messages.
 pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
-    let config = args.fleet.config()?;
-    if config.world.is_external() {
-        return Err("lockstep simulates its own world; expected world = \"simulator\"".into());
-    }
+    let config = simulated_config(args)?;
     let mut fleet = Lockstep::with_faults(&config, !args.in_turn, draw_faults(args))?;
     let mut checker = Checker::new(&config)?;
     let mut exploration = config.fleet.explore.then(|| WatchedExploration::new(config.fleet.robots));
@@ -114,6 +111,14 @@ fn draw_faults(args: &LockstepArgs) -> FaultPlan {
     let faults = FaultPlan::draw(seed, quiet_from(args.seconds));
     output::note(&format!("{faults:?}"));
     faults
+}
+
+fn simulated_config(args: &LockstepArgs) -> Result<FleetConfig, Error> {
+    let config = args.fleet.config()?;
+    if config.world.is_external() {
+        return Err("lockstep simulates its own world; expected world = \"simulator\"".into());
+    }
+    Ok(config)
 }
 
 /// Creates the folder of the results, before the run: a folder that cannot be written is said at once.
