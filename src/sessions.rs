@@ -11,6 +11,7 @@ use msg::{Pose2, ROBOTS_MAX, RobotId, SlamMode};
 use slam::{Session, SessionIdentity};
 use std::collections::BTreeMap;
 use std::io;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Name of the folder in a run's folder.
@@ -176,7 +177,10 @@ pub fn create_folder(folder: &Path, known: &[Option<Pose2>]) -> Result<(), Sessi
         })
         .collect();
     std::fs::create_dir_all(folder)
-        .and_then(|()| std::fs::write(&path, serde_json::to_string_pretty(&starts)? + "\n"))
+        .and_then(|()| {
+            let text = serde_json::to_string_pretty(&starts)? + "\n";
+            formats::atomic::write(&path, |file| file.write_all(text.as_bytes()))
+        })
         .map_err(|source| SessionsError::StartsFile { file: path.clone(), source })
 }
 

@@ -201,13 +201,14 @@ fn create_folder(path: &Path) -> Result<(), KeysError> {
     DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(at(path))
 }
 
-/// Writes a file that must not exist.
+/// Writes a file that must not exist. On a full disk it does not exist afterwards either.
 fn write_new(path: &Path, text: &str, mode: u32) -> Result<(), KeysError> {
     let mut file = match OpenOptions::new().write(true).create_new(true).mode(mode).open(path) {
         Err(why) if why.kind() == io::ErrorKind::AlreadyExists => return Err(KeysError::Exists(path.into())),
         opened => opened.map_err(at(path))?,
     };
-    file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(at(path))
+    let written = file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
+    written.inspect_err(|_| drop(std::fs::remove_file(path))).map_err(at(path))
 }
 
 #[cfg(test)]
