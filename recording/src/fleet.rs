@@ -64,7 +64,7 @@ pub enum SensorMessage {
 
 impl SensorMessage {
     /// Whether it is a scan, and its stamp: no robot sends two such messages of one stamp.
-    fn order(&self) -> (bool, Stamp) {
+    fn kind_and_stamp(&self) -> (bool, Stamp) {
         match self {
             Self::Odometry(odometry) => (false, odometry.header.stamp),
             Self::Scan(scan) => (true, scan.stamp),
@@ -190,9 +190,9 @@ impl FleetRecording {
     /// once.
     pub fn sort(&mut self) {
         for robot in &mut self.robots {
-            robot.messages.sort_by_key(|(at, message)| (*at, message.order()));
+            robot.messages.sort_by_key(|(at, message)| (*at, message.kind_and_stamp()));
             let all = robot.messages.len();
-            robot.messages.dedup_by_key(|(_, message)| message.order());
+            robot.messages.dedup_by_key(|(_, message)| message.kind_and_stamp());
             self.duplicates += (all - robot.messages.len()) as u64;
         }
         self.clock.sort();

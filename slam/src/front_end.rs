@@ -4,17 +4,16 @@
 //! jumps ([`FrontEnd::process`] shows the stages). What the back end finds out about the past
 //! only moves that frame in the map.
 
-mod answer;
 mod deskew;
 mod kidnap_check;
 mod local_frame;
 mod motion;
 mod node_builder;
+mod pose_estimate;
 mod scan_check;
 mod scan_matcher;
 mod state;
 
-pub(crate) use answer::upper_triangle;
 pub(crate) use motion::SPEED_SIGMA_SHARE;
 pub(crate) use node_builder::UNMEASURED_MAX_S;
 pub use scan_check::ScanRejection;
@@ -241,8 +240,8 @@ impl FrontEnd {
     }
 
     /// Sets the pose of the front end's frame in the map to what a person said, until the next frame update.
-    pub fn set_estimate(&mut self, estimate: LocalFrameEstimate) {
-        self.frame.set_estimate(estimate, self.local_from_base());
+    pub fn set_initial_estimate(&mut self, estimate: LocalFrameEstimate) {
+        self.frame.set_initial_estimate(estimate, self.local_from_base());
     }
 
     /// Requests a node: the next scan that fits becomes one, even if the robot stands.

@@ -5,8 +5,8 @@
 mod pose_covariance;
 mod relative_uncertainty;
 
-pub(crate) use pose_covariance::{carry_covariance, turn_covariance};
-pub use relative_uncertainty::{RelativeUncertainty, RepeatedError};
+pub(crate) use pose_covariance::{carry_covariance, turn_covariance, upper_triangle};
+pub use relative_uncertainty::{RelativeUncertainty, SystematicError};
 
 use crate::config::GraphConfig;
 use msg::Pose2;

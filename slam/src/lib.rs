@@ -49,7 +49,7 @@ pub use closure::ClosureSearchCounts;
 pub use cloud::{Cloud, CloudScratch, SurfacePoint};
 pub use config::*;
 pub use front_end::{FrontEnd, FrontEndCounts, FrontEndState, ScanRejection, ScanResult, TrajectorySample};
-pub use graph::{Edge, EdgeKind, Graph, RelativeUncertainty, RepeatedError};
+pub use graph::{Edge, EdgeKind, Graph, RelativeUncertainty, SystematicError};
 pub use localizer::LocalizerCounts;
 pub use mapper::OccupancyMapper;
 pub use node::{FrameUncertainty, MapFrameUpdate, Node, Rays, SweptPath};
@@ -228,7 +228,7 @@ pub fn begin(
             let empty = session.back.nodes.is_empty().then_some(Pose2::IDENTITY);
             let mut front = FrontEnd::new(config.clone());
             match start {
-                InitialPose::Near(estimate) if empty.is_none() => front.set_estimate(estimate),
+                InitialPose::Near(estimate) if empty.is_none() => front.set_initial_estimate(estimate),
                 InitialPose::Near(estimate) => front.set_map_from_local(Some(estimate.map_from_local)),
                 InitialPose::Continue | InitialPose::Unknown => front.set_map_from_local(empty),
             }

@@ -4,7 +4,7 @@
 
 use crate::back_end::BackEnd;
 use crate::config::{LinkConfig, MapConfig, SlamConfig};
-use crate::graph::Graph;
+use crate::graph::{Graph, upper_triangle};
 use crate::mapper::{OccupancyMapper, TURN_ARM_M};
 use msg::{Pose2, SUBMAP_EDGES_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses, pose::wrap_angle};
 use nalgebra::Matrix3;
@@ -228,8 +228,7 @@ impl Submaps {
         for (slot, ((a, b), sum)) in out.edges.iter_mut().zip(edges) {
             let a_from_b =
                 out.robot_map_from_submap[a as usize].between(out.robot_map_from_submap[b as usize]);
-            let i = self.with_drift(sum, a_from_b);
-            let information = [i[(0, 0)], i[(0, 1)], i[(0, 2)], i[(1, 1)], i[(1, 2)], i[(2, 2)]];
+            let information = upper_triangle(self.with_drift(sum, a_from_b));
             *slot = SubmapEdge { a, b, information };
         }
     }

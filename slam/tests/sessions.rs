@@ -188,7 +188,7 @@ fn a_robot_that_is_told_where_it_is_is_there_at_once() {
 }
 
 #[test]
-fn a_told_pose_is_no_surer_than_it_was_said_until_scans_confirm_it() {
+fn a_given_pose_has_the_uncertainty_it_was_given_with_until_scans_confirm_it() {
     let (session, world_from_map) = mapped(&FULL);
     let log = elsewhere(&FULL, 4);
     // 2 m beside the true place, where the scans fit nothing.

@@ -113,6 +113,7 @@ fn draw_faults(args: &LockstepArgs) -> FaultPlan {
     faults
 }
 
+/// Returns the configuration of the fleet; an error if its robots are not simulated.
 fn simulated_config(args: &LockstepArgs) -> Result<FleetConfig, Error> {
     let config = args.fleet.config()?;
     if config.world.is_external() {

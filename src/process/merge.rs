@@ -305,7 +305,7 @@ fn apply_estimate(merger: &mut Merger, estimate: &FleetEstimate) -> u64 {
 }
 
 /// Tells where a robot has been since the last step: after the maps, so that what they show of it is not older. A
-/// robot that is lost, or that has seen no scan yet, does not know. Nobody is woken for it: a peer's map is what shows a robot where it stands.
+/// robot that is not located does not know. Nobody is woken for it: a peer's map is what shows a robot where it stands.
 fn receive_robot_poses<P: Ports>(
     merger: &mut Merger,
     robot: RobotId,

@@ -94,7 +94,7 @@ pub enum FrontCommand {
         keeps_pose: bool,
     },
     /// Sets where the front end's frame lies in the map, as a person said, at once and not with the next node; `None`: unknown.
-    SetEstimate(Option<LocalFrameEstimate>),
+    SetInitialEstimate(Option<LocalFrameEstimate>),
     /// Applies the back end's newest state at once: its graph has changed without a node.
     ApplyFrameUpdateNow(MapFrameUpdate),
     /// Makes a node of the next scan, because a request waits for one.

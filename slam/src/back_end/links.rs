@@ -4,7 +4,7 @@ use super::BackEnd;
 use crate::align::{Reference, align};
 use crate::cloud::SEE_THROUGH_M;
 use crate::config::LinkConfig;
-use crate::graph::{EdgeKind, RelativeUncertainty, RepeatedError, UNOBSERVED};
+use crate::graph::{EdgeKind, RelativeUncertainty, SystematicError, UNOBSERVED};
 use msg::{Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
 use posegraph::limit_information;
@@ -16,7 +16,7 @@ const VIEWPOINT: f64 = 0.5;
 const SEQUENTIAL: RelativeUncertainty = RelativeUncertainty {
     position_variance_m2: 0.01,
     heading_variance_rad2: 0.003,
-    bias: RepeatedError { moved_m: [0.0; 2], turned_rad: 0.0 },
+    bias: SystematicError { moved_m: [0.0; 2], turned_rad: 0.0 },
 };
 /// An alignment may move the pose by this many standard deviations of what is known,
 const CORRECTION_SIGMAS: f64 = 3.0;

@@ -4,8 +4,8 @@ use super::component_search::nearest_node;
 use super::{BackEnd, BackEndState};
 use crate::closure::ClosureDetector;
 use crate::config::SlamConfig;
-use crate::front_end::{FrontEndState, TrajectorySample, upper_triangle};
-use crate::graph::{EdgeKind, Graph};
+use crate::front_end::{FrontEndState, TrajectorySample};
+use crate::graph::{EdgeKind, Graph, upper_triangle};
 use crate::localizer::Localizer;
 use crate::node::{FrameUncertainty, MapFrameUpdate, Node};
 use crate::relocalize::{
@@ -222,8 +222,9 @@ impl BackEnd {
             let newest = self.nodes.last()?;
             Some(self.graph.poses()[newest.id as usize] * newest.local_from_base.inverse())
         };
+        let initial_estimate = self.location.relocalizer.as_ref().and_then(Relocalizer::initial_estimate);
         let map_from_local = match (&self.location.relocalizer, &self.location.localizer) {
-            (Some(relocalizer), _) => relocalizer.initial_estimate().map(|estimate| estimate.map_from_local),
+            (Some(_), _) => initial_estimate.map(|estimate| estimate.map_from_local),
             (None, Some(localizer)) => localizer.newest().map(|(_, map_from_local)| map_from_local),
             (None, None) => of_graph(),
         };
@@ -240,7 +241,7 @@ impl BackEnd {
             uncertainty: self.frame_uncertainty(),
             closures: self.loop_closures.active_count,
             located: map_from_local.is_some() && self.is_located(),
-            unconfirmed: self.location.relocalizer.is_some(),
+            unconfirmed: initial_estimate.is_some(),
             unreliable: self.reliability_evidence().is_unreliable(),
         }
     }

@@ -43,7 +43,7 @@ pub(super) fn is_consistent(
 mod tests {
     use super::*;
     use crate::config::SlamConfig;
-    use crate::graph::{EdgeKind, RepeatedError};
+    use crate::graph::{EdgeKind, SystematicError};
     use msg::Pose2;
     use posegraph::information_from_sigmas;
 
@@ -80,7 +80,7 @@ mod tests {
         assert!(is_consistent(&good, &closure(0.0, 3.0), &links, None));
         assert!(is_consistent(&good, &closure(0.0, 2.9), &links, None));
         assert!(!is_consistent(&good, &beside, &links, None));
-        let bias = RepeatedError { moved_m: [0.0, 2.0], turned_rad: 0.01 };
+        let bias = SystematicError { moved_m: [0.0, 2.0], turned_rad: 0.01 };
         let bias = RelativeUncertainty { bias, ..RelativeUncertainty::default() };
         assert!(is_consistent(&good, &beside, &links, Some(bias)), "what repeats may make 3 m of 20 m");
         let ahead = closure(-3.0, 3.0);

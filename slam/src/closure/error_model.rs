@@ -1,6 +1,6 @@
 //! Which errors of the way a closure search counts: it looks first where random errors allow, then where systematic ones do.
 
-use crate::graph::{RelativeUncertainty, RepeatedError};
+use crate::graph::{RelativeUncertainty, SystematicError};
 
 /// Errors of the way that a search counts.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -15,7 +15,7 @@ impl ErrorModel {
     /// Returns what is known of a node with these errors.
     pub(super) fn apply(self, known: RelativeUncertainty) -> RelativeUncertainty {
         match self {
-            Self::Random => RelativeUncertainty { bias: RepeatedError::default(), ..known },
+            Self::Random => RelativeUncertainty { bias: SystematicError::default(), ..known },
             Self::Systematic => known.with_bias(),
         }
     }
@@ -58,7 +58,7 @@ mod tests {
         assert!(ErrorModel::Random.has_effect(Some(near)) && ErrorModel::Random.has_effect(None));
         assert!(ErrorModel::Systematic.apply(far).position_variance_m2.sqrt() > 11.2);
         assert!(ErrorModel::Random.apply(far).position_variance_m2.sqrt() < 4.0);
-        assert_eq!(ErrorModel::Random.apply(far).bias, RepeatedError::default());
+        assert_eq!(ErrorModel::Random.apply(far).bias, SystematicError::default());
     }
 
     #[test]

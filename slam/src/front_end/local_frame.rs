@@ -54,7 +54,7 @@ impl LocalFrameInMap {
     }
 
     /// Sets the pose at once to what a person said, the robot being at `local_from_base`.
-    pub fn set_estimate(&mut self, estimate: LocalFrameEstimate, local_from_base: Pose2) {
+    pub fn set_initial_estimate(&mut self, estimate: LocalFrameEstimate, local_from_base: Pose2) {
         self.set(Some(estimate.map_from_local));
         self.uncertainty = estimate.uncertainty(local_from_base);
         self.is_unconfirmed = true;

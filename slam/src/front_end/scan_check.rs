@@ -1,6 +1,6 @@
 //! Checks scans and rejects those that cannot be used.
 
-use super::answer::unknown_pose_covariance;
+use super::pose_estimate::unknown_pose_covariance;
 use super::{FrontEnd, ScanResult, TrackedPose};
 use crate::clock_reset::ClockResetDetector;
 use msg::{Pose2, Scan, Stamp, TrackingState};

@@ -48,6 +48,11 @@ pub(crate) fn carry_covariance(covariance: Matrix3<f64>, moved: [f64; 2]) -> Mat
     lever * covariance * lever.transpose()
 }
 
+/// The upper triangle of a covariance or an information over (x, y, yaw), row by row.
+pub(crate) fn upper_triangle(c: Matrix3<f64>) -> [f64; 6] {
+    [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]]
+}
+
 /// A covariance over (x, y, yaw), turned by an angle.
 pub(crate) fn turn_covariance(covariance: Matrix3<f64>, yaw_rad: f64) -> Matrix3<f64> {
     let turn = Rotation2::new(yaw_rad).to_homogeneous();

@@ -10,22 +10,22 @@ pub struct RelativeUncertainty {
     pub position_variance_m2: f64,
     /// Variance of the heading, rad².
     pub heading_variance_rad2: f64,
-    /// On top, what errors of the heading that repeat along the way make of it.
-    pub bias: RepeatedError,
+    /// On top, what errors of the heading that repeat along the way make of the other node's pose as seen from this one.
+    pub bias: SystematicError,
 }
 
 /// What one standard deviation of errors of the heading that repeat along a way makes of the pose at one end, as seen from the other: a bend
 /// that is the same everywhere displaces the end to one side only, and turns it (Kelly, "Linearized error propagation in odometry",
 /// International Journal of Robotics Research 23(2), 2004).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RepeatedError {
+pub struct SystematicError {
     /// Displacement of the end, in the axes of the map, metres.
     pub moved_m: [f64; 2],
     /// Turn of the end, radians.
     pub turned_rad: f64,
 }
 
-impl RepeatedError {
+impl SystematicError {
     /// The error with one more bend at the beginning of the way, from where the end is at `to_end_m`.
     fn bent(self, bend_rad: f64, to_end_m: [f64; 2]) -> Self {
         let [x_m, y_m] = self.moved_m;

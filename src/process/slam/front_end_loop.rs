@@ -167,8 +167,8 @@ impl FrontEndRunner {
                     self.report(FrontEvent::Replaced(old));
                     self.number = number;
                 }
-                FrontCommand::SetEstimate(Some(estimate)) => self.front.set_estimate(estimate),
-                FrontCommand::SetEstimate(None) => self.front.set_map_from_local(None),
+                FrontCommand::SetInitialEstimate(Some(estimate)) => self.front.set_initial_estimate(estimate),
+                FrontCommand::SetInitialEstimate(None) => self.front.set_map_from_local(None),
                 FrontCommand::ApplyFrameUpdateNow(frame_update) => {
                     self.front.apply_frame_update(frame_update)
                 }

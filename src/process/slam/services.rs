@@ -108,7 +108,7 @@ impl<P: Ports> Services<P> {
             SlamRequestKind::Relocalize => {
                 has_map(state)?;
                 state.back.start_relocalization(None);
-                state.commands.send(FrontCommand::SetEstimate(None));
+                state.commands.send(FrontCommand::SetInitialEstimate(None));
                 state.commands.send(FrontCommand::RequestNode);
                 done("the robot is looked for in the whole map: from where it stands, and as it moves")
             }
@@ -206,7 +206,7 @@ impl<P: Ports> Services<P> {
                     sigma_rad: or(request.sigma_rad, rad),
                 };
                 state.back.start_relocalization(Some(estimate));
-                state.commands.send(FrontCommand::SetEstimate(Some(estimate)));
+                state.commands.send(FrontCommand::SetInitialEstimate(Some(estimate)));
                 state.commands.send(FrontCommand::RequestNode);
                 self.respond(&request, done("the robot is looked for around there"), state);
             }

@@ -3,6 +3,7 @@
 use super::FrontEnd;
 use super::local_frame::LocalFrameInMap;
 use super::scan_matcher::TrackedPose;
+use crate::graph::upper_triangle;
 use msg::{Pose2, PoseEstimate, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 
@@ -14,11 +15,6 @@ const NOT_LOCATED_RAD: f64 = core::f64::consts::PI;
 pub(super) fn unknown_pose_covariance() -> Matrix3<f64> {
     let variance_m2 = NOT_LOCATED_M.powi(2);
     Matrix3::from_diagonal(&Vector3::new(variance_m2, variance_m2, NOT_LOCATED_RAD.powi(2)))
-}
-
-/// The upper triangle of a covariance, row by row.
-pub(crate) fn upper_triangle(c: Matrix3<f64>) -> [f64; 6] {
-    [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]]
 }
 
 impl FrontEnd {
