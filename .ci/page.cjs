@@ -199,22 +199,20 @@ test("a robot stands when its operator's browser is killed", async () => {
   assert.ok(took < STOP_MS, `${took} ms`);
 });
 
-test("a robot stands when the operator's socket breaks, and the page is connected again within a second", async () => {
+test("a robot stands when the operator's socket breaks, and the page connects again", async () => {
   const observer = await watchSpeed();
   const { page } = await open({ sockets: true });
   const took = await timeToStop(observer, page, () => page.evaluate(() => {
-    globalThis.brokenAt = performance.now();
     globalThis.sockets.forEach((socket) => socket.close());
     const link = document.querySelector("#link");
     new MutationObserver(() => {
-      if (link.textContent === "connected") globalThis.backAfter ??= performance.now() - globalThis.brokenAt;
+      if (link.textContent === "connected") globalThis.isBack = true;
     }).observe(link, { childList: true, characterData: true, subtree: true });
     dispatchEvent(new Event("blur"));
   }));
   assert.ok(took < STOP_MS, `${took} ms`);
-  await page.waitForFunction(() => globalThis.backAfter !== undefined, null, WAIT);
-  const back = await page.evaluate(() => globalThis.backAfter);
-  assert.ok(back < 1000, `connected after ${back} ms`);
+  // How long that takes, `page-link.cjs` measures.
+  await page.waitForFunction(() => globalThis.isBack, null, WAIT);
 });
 
 test("a robot stands when the bridge is killed, and the page connects again", async () => {

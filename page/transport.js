@@ -6,9 +6,9 @@ const PROTOCOLS = ["foxglove.sdk.v1.1", "foxglove.sdk.v1"];
 const MESSAGE = 1;
 /** Bytes before the payload: kind, subscription, time. */
 const MESSAGE_HEADER_BYTES = 13;
-/** Pauses before the next attempt to connect, ms: after a connection that lasted, and after any other attempt. */
-const RECONNECT_BROKEN_MS = 100;
-const RECONNECT_FAILED_MS = 500;
+/** Pause before the next attempt to connect, ms: the first after a connection that lasted, and at most. It doubles with each attempt that fails. */
+const RECONNECT_FIRST_MS = 100;
+const RECONNECT_MAX_MS = 500;
 /** A connection that breaks sooner, ms, counts as an attempt that failed: a bridge may accept and refuse at once. */
 const LASTED_MS = 1000;
 /** An attempt to connect that takes longer is given up, ms: after a lost packet it would take many seconds. */
@@ -48,6 +48,8 @@ export class Connection {
     this.wantsParameters = false;
     this.nextId = 1;
     this.isOpen = false;
+    /** The pause before the next attempt to connect, ms. */
+    this.pauseMs = RECONNECT_FIRST_MS;
     /** When something came last, ms of the page. */
     this.heardAt = 0;
     /** When the newest attempt to connect began, ms of the page. */
@@ -77,11 +79,12 @@ export class Connection {
 
   closed() {
     const hasLasted = this.isOpen && performance.now() - this.begunAt >= LASTED_MS;
-    const pauseMs = hasLasted ? RECONNECT_BROKEN_MS : RECONNECT_FAILED_MS;
+    if (hasLasted) this.pauseMs = RECONNECT_FIRST_MS;
     this.isOpen = false;
     this.socket = null;
     this.handlers.state?.(false);
-    setTimeout(() => this.connect(), pauseMs);
+    setTimeout(() => this.connect(), this.pauseMs);
+    this.pauseMs = Math.min(2 * this.pauseMs, RECONNECT_MAX_MS);
   }
 
   /** Asks for the run's time, and gives up a connection on which nothing comes any more. Call it once a second. */

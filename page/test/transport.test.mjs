@@ -77,6 +77,39 @@ test("a new connection gets the subscriptions and publications of the one before
   assert.equal(again.sent.some((data) => data instanceof Uint8Array), false, "no command is sent late");
 });
 
+/** Returns the pauses before the next attempts, ms: each connection is closed after so long, and was open or was not. */
+function pauses(t, closedAfterMs, isAccepted) {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  let now = 0;
+  t.mock.method(performance, "now", () => now);
+  FakeSocket.all = [];
+  new Connection("ws://localhost:8080/", { message() {} }, FakeSocket);
+  return closedAfterMs.map((openMs) => {
+    const socket = FakeSocket.all.at(-1);
+    if (isAccepted) socket.onopen();
+    now += openMs;
+    socket.onclose();
+    const closedAt = now;
+    while (FakeSocket.all.at(-1) === socket && now < closedAt + 1000) {
+      now += 1;
+      t.mock.timers.tick(1);
+    }
+    return now - closedAt;
+  });
+}
+
+test("a bridge that accepts and refuses at once is soon asked twice a second", (t) => {
+  assert.deepEqual(pauses(t, [10, 10, 10, 10, 10], true), [100, 200, 400, 500, 500]);
+});
+
+test("after a connection that lasted the pause is short again", (t) => {
+  assert.deepEqual(pauses(t, [10, 10, 999, 1000, 10], true), [100, 200, 400, 100, 200]);
+});
+
+test("attempts that fail are made twice a second, however long each took", (t) => {
+  assert.deepEqual(pauses(t, [10, 10, 2000, 2000, 10], false), [100, 200, 400, 500, 500]);
+});
+
 test("the run's time is asked for one question at a time, and a silent connection is opened again", async () => {
   const times = [];
   const told = [];
@@ -134,27 +167,6 @@ test("a socket that breaks every 30 s is opened after the same tenth of a second
     again.receive(ADVERTISE);
     assert.equal(again.commands("subscribe").length, 1);
   }
-});
-
-test("a bridge that accepts and refuses at once is asked twice a second", (t) => {
-  t.mock.timers.enable({ apis: ["setTimeout"] });
-  const { connection } = open();
-  FakeSocket.all.at(-1).onclose();
-  t.mock.timers.tick(499);
-  assert.deepEqual([connection.isOpen, FakeSocket.all.length], [false, 1]);
-  t.mock.timers.tick(1);
-  assert.equal(FakeSocket.all.length, 2);
-});
-
-test("after an attempt that failed the next one is made after half a second", (t) => {
-  t.mock.timers.enable({ apis: ["setTimeout"] });
-  FakeSocket.all = [];
-  new Connection("ws://localhost:8080/", { message() {} }, FakeSocket);
-  FakeSocket.all[0].onclose();
-  t.mock.timers.tick(499);
-  assert.equal(FakeSocket.all.length, 1);
-  t.mock.timers.tick(1);
-  assert.equal(FakeSocket.all.length, 2);
 });
 
 test("an attempt to connect that hangs is given up, and another one is made", (t) => {
