@@ -87,6 +87,7 @@ fn node(id: usize, range_m: f32) -> Node {
         disconnected_component: None,
         uncertain_component: None,
         unmeasured_s: 0.0,
+        slip: [0.0; 3],
         possibly_kidnapped: false,
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),

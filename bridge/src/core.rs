@@ -9,6 +9,7 @@ mod input;
 mod navigation;
 mod registration;
 mod relay;
+mod ros_refusals;
 mod service_exchange;
 mod service_frames;
 mod world;
@@ -73,6 +74,8 @@ pub struct Core {
     pub stats: Option<Box<FleetStats>>,
     /// The clients that are being dropped.
     admission: AdmissionState,
+    /// Refused messages from ROS 2.
+    ros_refusals: ros_refusals::RosRefusals,
 }
 
 impl Core {
@@ -99,6 +102,7 @@ impl Core {
             world,
             stats: None,
             admission: AdmissionState::default(),
+            ros_refusals: ros_refusals::RosRefusals::default(),
         };
         core.send_velocities();
         core.publish_selected();

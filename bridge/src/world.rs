@@ -14,6 +14,7 @@ mod checks;
 mod clock;
 mod error;
 mod input;
+mod restart;
 mod suspects;
 
 pub(crate) use checks::floor_pose;
@@ -59,8 +60,14 @@ struct RobotState {
     /// The source, and the run's time of its last message.
     source: Option<(SourceId, Stamp)>,
     last_scan: Option<Stamp>,
+    /// The newest of the scans in a row that were stamped much earlier than that, and their number.
+    set_back: Option<(Stamp, usize)>,
     /// The newest pose: stamp by the source's clock, the same stamp by the run's, odom_from_base.
     last_pose: Option<(Stamp, Stamp, Pose2)>,
+    /// When TF had odom -> base last, by the run's time.
+    last_transform: Option<Stamp>,
+    /// Whether the newest pose is TF's, and not the odometry topic's.
+    is_pose_of_transform: bool,
     /// Whether odom -> base_footprint was received: base_link, which moves the same, is then not needed.
     has_footprint: bool,
 }
@@ -105,6 +112,8 @@ pub struct ExternalWorld {
     clock: Stamp,
     /// The source of the clock, and the run's time of its last message.
     clock_source: Option<(SourceId, Stamp)>,
+    /// Seconds by which a clock was set back, until [`ExternalWorld::take_step`].
+    step_s: Option<f64>,
     sink: MessageSink,
 }
 
@@ -118,6 +127,7 @@ impl ExternalWorld {
             transforms: Box::new([Transforms::default(); ROBOTS_MAX]),
             clock: Stamp(i64::MIN),
             clock_source: None,
+            step_s: None,
             sink: Box::new(sink),
         }
     }
@@ -161,10 +171,14 @@ impl ExternalWorld {
         check_scan(&mut self.scan)?;
         let sent = self.scan.header.stamp;
         let stamp = origin.clock.convert(sent, origin.received)?;
-        let state = &mut self.robots[robot.index()];
-        if state.last_scan.is_some_and(|before| stamp <= before) {
-            return Err(ScanError::NotNewer { stamp_s: sent.seconds() }.into());
+        if let Some(before) = self.robots[robot.index()].last_scan.filter(|before| stamp <= *before) {
+            if !self.was_set_back(robot, stamp - before, stamp) {
+                return Err(ScanError::NotNewer { stamp_s: sent.seconds() }.into());
+            }
+            self.restart(origin.source, stamp - before);
         }
+        let state = &mut self.robots[robot.index()];
+        state.set_back = None;
         (state.last_scan, state.source) = (Some(stamp), Some((origin.source, origin.received)));
         self.scan.header.stamp = stamp;
         (self.sink)(WorldMessage::Scan(robot, &self.scan));
@@ -193,6 +207,9 @@ impl ExternalWorld {
     }
 
     /// Takes odometry as the transform odom -> base_footprint, for robots that do not number their frames.
+    ///
+    /// A robot with odom -> base in TF is located by that: `map` -> `odom` belongs to it (REP-105), and the topic may be another
+    /// estimate of the motion, as of the wheels alone beside that of robot_localization.
     fn receive_odometry(
         &mut self,
         origin: &mut Origin<'_>,
@@ -204,10 +221,12 @@ impl ExternalWorld {
         let parent_from_child = check_transform(RobotFrame::Odom, RobotFrame::BaseFootprint, &transform)?;
         let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
-        let is_new = state.last_pose.is_none_or(|(_, before, _)| stamp > before);
         state.source = Some((origin.source, origin.received));
-        state.has_footprint = true;
-        self.send_odometry(robot, transform.stamp, stamp, &parent_from_child)?;
+        if state.last_transform.is_some_and(|last| origin.received - last < SOURCE_TIMEOUT_S) {
+            return Ok(());
+        }
+        let is_new = state.last_pose.is_none_or(|(_, before, _)| stamp > before);
+        self.send_odometry(robot, [transform.stamp, stamp], &parent_from_child, false)?;
         if is_new {
             let transforms = &mut self.transforms[robot.index()];
             (transforms.header.stamp, transforms.len, transforms.transforms[0]) =
@@ -223,7 +242,7 @@ impl ExternalWorld {
         }
         let stamp = origin.clock.convert(read::stamp(&mut from, "clock")?, origin.received)?;
         self.clock_source = Some((origin.source, origin.received));
-        // The fleet's time never runs backwards, however late a message is.
+        // The fleet's time does not run backwards for a message that is late, only if the clock was set back.
         if stamp > self.clock {
             self.clock = stamp;
             let mut message = Clock::default();
@@ -303,7 +322,9 @@ impl ExternalWorld {
         {
             state.has_footprint |= child_frame == RobotFrame::BaseFootprint;
             if child_frame == RobotFrame::BaseFootprint || !state.has_footprint {
-                self.send_odometry(robot, transform.stamp, stamp, &parent_from_child).map_err(wrong)?;
+                state.last_transform = Some(origin.received);
+                self.send_odometry(robot, [transform.stamp, stamp], &parent_from_child, true)
+                    .map_err(wrong)?;
             }
         }
         self.add_transform(robot, stamp, parent_from_child);
@@ -323,13 +344,13 @@ impl ExternalWorld {
         }
     }
 
-    /// Sends a robot's pose by its wheels, with the velocity since the pose before.
+    /// Sends a robot's pose by its wheels, with the velocity since the pose before. The stamps are the source's and the run's.
     fn send_odometry(
         &mut self,
         robot: RobotId,
-        sent: Stamp,
-        stamp: Stamp,
+        [sent, stamp]: [Stamp; 2],
         transform: &RobotFrameTransform,
+        is_of_transform: bool,
     ) -> Result<(), TransformError> {
         let odom_from_base = planar_pose(transform)?;
         let state = &mut self.robots[robot.index()];
@@ -341,13 +362,15 @@ impl ExternalWorld {
                 return Ok(());
             }
             let span_s = sent - sent_before;
-            if span_s > 0.0 && span_s <= VELOCITY_SPAN_MAX_S {
+            let is_same = state.is_pose_of_transform == is_of_transform;
+            if is_same && span_s > 0.0 && span_s <= VELOCITY_SPAN_MAX_S {
                 let step = pose.inverse() * odom_from_base;
                 odometry.linear_m_s = step.x_m / span_s;
                 odometry.angular_rad_s = step.yaw_rad / span_s;
             }
         }
         state.last_pose = Some((sent, stamp, odom_from_base));
+        state.is_pose_of_transform = is_of_transform;
         (self.sink)(WorldMessage::Odometry(robot, &odometry));
         Ok(())
     }

@@ -313,6 +313,7 @@ impl FrontEnd {
             disconnected_component: None,
             uncertain_component: None,
             unmeasured_s: 0.0,
+            slip: [0.0; 3],
             possibly_kidnapped: false,
             cloud,
             rays: self.scan_buffers.rays(scan, beam_poses, &self.config),

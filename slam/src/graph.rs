@@ -237,10 +237,14 @@ impl Graph {
         self.edges.push(Edge { variance, ..edge });
     }
 
+    /// The active edges from `a` to `b`.
+    fn edges_between(&self, a: u32, b: u32) -> impl Iterator<Item = &Edge> {
+        self.edges_of(b).filter(move |e| e.a == a && e.b == b)
+    }
+
     /// Sum of the information of the active edges from `a` to `b`.
     fn information_between(&self, a: u32, b: u32) -> Matrix3<f64> {
-        let same = self.edges_of(b).filter(|e| e.a == a && e.b == b);
-        same.fold(Matrix3::zeros(), |sum, e| sum + e.information)
+        self.edges_between(a, b).fold(Matrix3::zeros(), |sum, e| sum + e.information)
     }
 
     /// Node `b` as seen from node `a` if an edge is right, and the poses of the nodes near its ends relative to these are.

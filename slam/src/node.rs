@@ -36,6 +36,9 @@ pub struct Node {
     pub uncertain_component: Option<u32>,
     /// Time since the node before in which neither odometry nor scans measured the motion, seconds.
     pub unmeasured_s: f32,
+    /// What odometry measured too much since the node before, where scans contradicted it: (x, y, yaw), metres and radians.
+    /// `previous_from_this` is without it.
+    pub slip: [f64; 3],
     /// Whether neither scans nor odometry came for some seconds since the node before, and the wheels stood: the robot may have been
     /// carried meanwhile.
     pub possibly_kidnapped: bool,

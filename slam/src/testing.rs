@@ -22,6 +22,7 @@ pub fn standing_node(id: u32, scan: &Scan, local_from_base: Pose2, lidar: &Lidar
         disconnected_component: None,
         uncertain_component: None,
         unmeasured_s: 0.0,
+        slip: [0.0; 3],
         possibly_kidnapped: false,
         cloud: Arc::new(cloud),
         rays: Arc::new(Rays::default()),

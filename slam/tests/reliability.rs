@@ -99,6 +99,30 @@ fn with_odometry_a_corridor_is_a_map_to_rely_on() {
 }
 
 #[test]
+fn wheels_that_slip_unseen_in_a_corridor_are_within_what_the_covariance_says() {
+    let mut robot = Robot { slip: 0.0, ..Robot::new(Pose2::new(1.0, 0.0, 0.0)) };
+    let mut noise = Noise::new(5);
+    let mut slam = Slam::new(SlamConfig::default());
+    let mut said = Said::new();
+    for scan in 0..520 {
+        // Half a metre too much, three times, where nothing faces along the corridor.
+        robot.slip = if (150..400).contains(&scan) && scan % 80 < 10 { 1.0 } else { 0.0 };
+        robot.drive(0.5, 0.0, 0.1, &mut noise);
+        robot.world_from_base = Pose2::new(robot.world_from_base.x_m, 0.0, 0.0);
+        slam.add_odometry(&robot.odometry());
+        let scan = cast(&corridor(), &FULL, robot.world_from_base, robot.stamp(), &mut noise);
+        said.push((slam.process(&scan).pose_estimate.state(), robot.world_from_base));
+        slam.work();
+    }
+    slam.finish();
+    let (error_m, _) = known_error_m(&slam, &said);
+    let graph = slam.back().graph();
+    let sigma_m = graph.position_variance_m2(graph.poses().len() as u32 - 1).sqrt();
+    assert!(error_m > 1.0, "{error_m} m: the slips were seen");
+    assert!(error_m < 3.0 * sigma_m, "{error_m} m, one standard deviation is {sigma_m} m");
+}
+
+#[test]
 fn odometry_that_comes_back_in_a_corridor_is_used_again() {
     // It is missing for two seconds, in which nothing else measures the motion: where the robot is then is not known.
     let (slam, said) = drive(|scan| !(200..220).contains(&scan));

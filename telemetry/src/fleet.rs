@@ -171,7 +171,7 @@ impl Telemetry {
                 map_transform_error_rad: error_rad,
                 is_merged: u32::from(transform.is_some()),
                 map_age_s: age_s(self.map_transforms.pose_estimate_received[index], now),
-                ..robot.stats(stamp)
+                ..robot.stats(now)
             };
         }
         &self.stats

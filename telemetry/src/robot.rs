@@ -72,7 +72,7 @@ impl RobotTelemetry {
     /// Adds SLAM's answer to a scan.
     pub fn add_pose_estimate(&mut self, pose_estimate: &PoseEstimate, received: Monotonic) {
         self.map_scans.add_pose_estimate(pose_estimate);
-        self.scans.add(pose_estimate);
+        self.scans.add(pose_estimate, received);
         record_latency(&mut self.scan_to_pose, pose_estimate.scan_sent, received);
         self.newest = Some(*pose_estimate);
     }
@@ -105,12 +105,12 @@ impl RobotTelemetry {
         let _ = self.truths.push_back((truth.header.stamp, truth.world_from_base));
     }
 
-    /// Computes the robot's statistics at a time of the run's clock.
-    pub fn stats(&self, stamp: Stamp) -> RobotStats {
+    /// Computes the robot's statistics.
+    pub fn stats(&self, now: Monotonic) -> RobotStats {
         let pose_estimate = self.newest.unwrap_or_default();
         RobotStats {
             state: pose_estimate.state,
-            scan_hz: self.scans.rate_hz(stamp),
+            scan_hz: self.scans.rate_hz(now),
             scans: self.scans.received,
             scans_lost: self.scans.lost,
             tf_jitter_ms: self.jitter.deviations().distribution_ms(),

@@ -276,10 +276,11 @@ impl Core {
             )
         };
         self.router.send_notice(id, name::WARN, text("your"));
-        if let Some(client) = self.router.client(id) {
-            let event = text(&format!("the source {}: its", client.peer));
-            self.report(event);
-        }
+        let source = match self.router.client(id) {
+            Some(client) => format!("the source {}: its", client.peer),
+            None => "ROS 2: the robots'".into(),
+        };
+        self.report(text(&source));
     }
 
     /// Records an event for the operator's log.

@@ -86,7 +86,7 @@ pub enum InputError {
 }
 
 impl InputError {
-    fn kind(&self) -> RefusalKind {
+    pub(super) fn kind(&self) -> RefusalKind {
         match self {
             Self::Payload(_) | Self::NotFinite | Self::StickAxis | Self::World(WorldError::Payload(_)) => {
                 RefusalKind::Payload
@@ -102,23 +102,25 @@ impl InputError {
 }
 
 impl Core {
-    /// Handles a message from DDS. Nobody can be told of a refusal there: it is counted.
+    /// Handles a message from DDS. Nobody can be told of a refusal there: it is counted, and in the operator's log.
     pub fn receive_dds(&mut self, message: &ReceivedMessage, now: Monotonic) {
         self.router.counted.received += 1;
         let (input, payload) = (message.input(), message.payload());
-        let is_accepted = match Reader::new(payload).map(|from| world_message(input, from)) {
-            Err(_) => false,
+        let result = match Reader::new(payload).map(|from| world_message(input, from)) {
+            Err(error) => Err(error.into()),
             Ok(_) if input == InputPurpose::StaticTransforms => {
-                self.fleet.receive_static_transforms(&mut self.router, payload).is_ok()
+                self.fleet.receive_static_transforms(&mut self.router, payload).map_err(InputError::from)
             }
             Ok(Some(message)) => self.receive_dds_world(message, now),
             Ok(None) => {
                 let Some(topic) = self.router.topics.find(message.topic()) else { return };
                 let publication = Publication { topic, stamped: message.is_stamped(), latch: false };
-                self.apply_input(ClientId::DDS, input, publication, payload, now).is_ok()
+                self.apply_input(ClientId::DDS, input, publication, payload, now)
             }
         };
-        self.router.counted.refused += u64::from(!is_accepted);
+        if let Err(error) = result {
+            self.refuse_ros(message.topic(), &error, now);
+        }
     }
 
     /// Handles a client's message on a topic.

@@ -13,19 +13,22 @@ use ros_messages::read::{self, Transform};
 use ros_messages::write;
 
 impl Core {
-    /// Takes a message of robots on DDS; returns whether it is accepted.
-    pub(super) fn receive_dds_world(&mut self, message: Incoming<'_>, now: Monotonic) -> bool {
+    /// Takes a message of robots on DDS.
+    pub(super) fn receive_dds_world(
+        &mut self,
+        message: Incoming<'_>,
+        now: Monotonic,
+    ) -> Result<(), InputError> {
         if self.world.is_none() {
-            return true;
+            return Ok(());
         }
         let topic = self.router.topics.find(FleetTopic::Transforms.row().name);
-        let result = match (message, topic) {
+        match (message, topic) {
             (Incoming::Transforms(from), Some(topic)) => {
                 self.receive_transforms(ClientId::DDS, topic, from, now)
             }
             (message, _) => self.receive_world(ClientId::DDS, message, now),
-        };
-        result.is_ok()
+        }
     }
 
     /// Passes a source's sensor data to the external world.

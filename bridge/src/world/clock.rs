@@ -362,3 +362,6 @@ fn hull_edge(points: &[(f64, f64)]) -> Option<(f64, f64, f64)> {
 fn turns_left(a: (f64, f64), b: (f64, f64), c: (f64, f64)) -> bool {
     (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0) > 0.0
 }
+
+#[cfg(test)]
+mod tests;

@@ -43,7 +43,8 @@ impl WorldInput {
 
     /// Returns by how many seconds a source's clock was found to be set since the last call.
     pub fn take_clock_step(&mut self, source: SourceId) -> Option<f64> {
-        self.clocks.get_mut(&source).and_then(SourceClock::take_step)
+        let step_s = self.clocks.get_mut(&source).and_then(SourceClock::take_step);
+        step_s.or_else(|| self.world.take_step())
     }
 
     /// Forgets a source that has left, so that another may take its robots at once.

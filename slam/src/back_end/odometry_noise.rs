@@ -103,6 +103,8 @@ struct OdometryMotion {
     /// The node that it starts at, and the one that it ends at.
     nodes: [u32; 2],
     first_from_last: Pose2,
+    /// What the wheels measured too much besides, where scans contradicted them: (x, y, yaw), metres and radians.
+    slip: [f64; 3],
     /// Variances by the configuration, m² and rad².
     variances: [f64; 2],
 }
@@ -132,15 +134,20 @@ impl OdometryNoise {
         let Some(covariance) = information.try_inverse() else { return };
         let moved = odometry.first_from_last;
         let error = link.a_from_b.between(moved);
+        let [slip_x_m, slip_y_m, slip_rad] = odometry.slip;
         let [first, last] = odometry.nodes;
         let [limit_m2, limit_rad2] = odometry.variances.map(|variance| DETERMINED_SHARE.powi(2) * variance);
         let position = covariance.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigenvalues().max();
         if first >= self.learned_until[0] && position < limit_m2 && moved.x_m.hypot(moved.y_m) > DRIVEN_M {
-            self.distance.observe([error.x_m, error.y_m], odometry.variances[0], last - first);
+            self.distance.observe(
+                [error.x_m + slip_x_m, error.y_m + slip_y_m],
+                odometry.variances[0],
+                last - first,
+            );
             self.learned_until[0] = last;
         }
         if first >= self.learned_until[1] && covariance[(2, 2)] < limit_rad2 {
-            self.heading.observe([error.yaw_rad], odometry.variances[1], last - first);
+            self.heading.observe([error.yaw_rad + slip_rad], odometry.variances[1], last - first);
             self.learned_until[1] = last;
         }
     }
@@ -153,8 +160,12 @@ impl BackEnd {
         let edge_to = |from: u32, to: u32, kind: EdgeKind| {
             self.graph.edges_of(to).find(|e| e.kind == kind && (e.a, e.b) == (from, to)).copied()
         };
-        let mut motion =
-            OdometryMotion { nodes: [id; 2], first_from_last: Pose2::IDENTITY, variances: [0.0; 2] };
+        let mut motion = OdometryMotion {
+            nodes: [id; 2],
+            first_from_last: Pose2::IDENTITY,
+            slip: [0.0; 3],
+            variances: [0.0; 2],
+        };
         let mut noise = self.odometry_noise;
         for first in (id.saturating_sub(self.config.links.sequential as u32)..id).rev() {
             let next = first + 1;
@@ -164,6 +175,8 @@ impl BackEnd {
             }
             motion.nodes[0] = first;
             motion.first_from_last = step.a_from_b * motion.first_from_last;
+            let slip = self.nodes[next as usize].slip;
+            motion.slip = core::array::from_fn(|i| motion.slip[i] + slip[i]);
             let sigmas = self.configured_odometry_sigmas(step.a_from_b);
             motion.variances = core::array::from_fn(|i| motion.variances[i] + sigmas[i].powi(2));
             if let Some(link) = edge_to(first, id, EdgeKind::ScanMatch) {
@@ -218,6 +231,7 @@ mod tests {
             let motion = OdometryMotion {
                 nodes: [node, node + 1],
                 first_from_last: a_from_b * error(node),
+                slip: [0.0; 3],
                 variances: SIGMAS.map(|sigma| sigma.powi(2)),
             };
             noise.observe(&motion, &link);
@@ -250,6 +264,28 @@ mod tests {
         let [_, alternates] = learned(400, 0.005, alternating(0.4));
         let [_, repeats] = learned(400, 0.005, |_| Pose2::new(0.0, 0.0, 0.4 * SIGMAS[1]));
         assert!(repeats > 2.0 * alternates, "{repeats} where it repeats, {alternates} where it does not");
+    }
+
+    #[test]
+    fn slips_that_scans_took_out_of_odometry_are_learned_from() {
+        let learned = |slip_m: f64| {
+            let mut back = straight_path(200, 0.3);
+            for id in 1..200 {
+                back.nodes[id as usize].previous_from_this = Some(Pose2::IDENTITY);
+                // One in 40 nodes, 12 m.
+                back.nodes[id as usize].slip[0] = if id % 40 == 0 { slip_m } else { 0.0 };
+                let moved = Pose2::new(0.3, 0.0, 0.0);
+                for (kind, sigma) in [(EdgeKind::Odometry, 0.05), (EdgeKind::ScanMatch, 0.001)] {
+                    let information = information_from_sigmas(sigma, sigma);
+                    back.graph.add_edge([id - 1, id], moved, information, kind, [0.0; 2]);
+                }
+                back.learn_odometry_noise(id);
+            }
+            back.odometry_noise.scales()
+        };
+        let ([without, heading], [with, same_heading]) = (learned(0.0), learned(0.4));
+        assert!(with > 2.0 * without, "{without} without, {with} with");
+        assert_eq!(heading, same_heading);
     }
 
     #[test]

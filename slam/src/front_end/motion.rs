@@ -89,6 +89,13 @@ impl FrontEnd {
     pub(super) fn rebase_odometry(&mut self, pose: &TrackedPose, continuous_from_base: Option<Pose2>) {
         let Some((newest, odom)) = self.matcher.references.back().zip(continuous_from_base) else { return };
         let is_back = self.motion.node_continuous_from_base.is_none() && pose.is_tracked;
+        if pose.slipped
+            && let Some(moved) = self.motion.moved_since_reference(continuous_from_base)
+        {
+            let off = pose.local_from_base.between(newest.local_from_base * moved);
+            let slip = &mut self.node_builder.slip;
+            *slip = [slip[0] + off.x_m, slip[1] + off.y_m, slip[2] + off.yaw_rad];
+        }
         if pose.slipped || is_back {
             self.motion.rebase_odometry(newest, pose.local_from_base, odom);
             self.counts.slips += u64::from(pose.slipped);

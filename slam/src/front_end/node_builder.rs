@@ -24,6 +24,8 @@ pub(super) struct NodeBuilder {
     pub requested: bool,
     /// Time since the newest node in which neither odometry nor scans measured the motion, seconds.
     pub unmeasured_s: f32,
+    /// What odometry measured too much since the newest node, where scans contradicted it: (x, y, yaw), metres and radians.
+    pub slip: [f64; 3],
     /// Whether the robot may have been kidnapped since the newest node.
     pub possibly_kidnapped: bool,
     /// Positions since the newest node, in the front end's frame.
@@ -40,6 +42,7 @@ impl NodeBuilder {
             last_scan_lost: false,
             requested: false,
             unmeasured_s: 0.0,
+            slip: [0.0; 3],
             possibly_kidnapped: false,
             swept_path: SweptPath::default(),
         }
@@ -78,9 +81,10 @@ impl NodeBuilder {
         self.published = Some((node.id, node.local_from_base));
         self.published_from_newest = Some(Pose2::IDENTITY);
         let unmeasured_s = core::mem::take(&mut self.unmeasured_s);
+        let slip = core::mem::take(&mut self.slip);
         let possibly_kidnapped = core::mem::take(&mut self.possibly_kidnapped);
         let path = core::mem::take(&mut self.swept_path);
         let swept_path = if keep_path { path.seen_from(node.local_from_base) } else { SweptPath::default() };
-        Node { swept_path, unmeasured_s, possibly_kidnapped, ..node }
+        Node { swept_path, unmeasured_s, slip, possibly_kidnapped, ..node }
     }
 }

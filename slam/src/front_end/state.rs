@@ -32,6 +32,8 @@ pub struct FrontEndState {
     pub map_from_local: Pose2,
     /// Odometry from the newest published node to the newest reference scan; `None` if unknown.
     pub published_from_newest: Option<Pose2>,
+    /// What odometry measured too much since the newest node, where scans contradicted it: (x, y, yaw), metres and radians.
+    pub slip: [f64; 3],
     /// Pose by odometry at the newest reference scan; `None` if unknown.
     pub node_continuous_from_base: Option<Pose2>,
     /// Covariance over (x, y, yaw) of the newest reference scan's pose.
@@ -80,6 +82,7 @@ impl FrontEnd {
             last_scan_lost: state.last_scan_lost,
             requested: false,
             unmeasured_s: 0.0,
+            slip: state.slip,
             possibly_kidnapped: false,
             swept_path: state.swept_path,
         };
@@ -108,6 +111,7 @@ impl FrontEnd {
             located: self.frame.is_located,
             map_from_local: self.frame.map_from_local,
             published_from_newest: self.node_builder.published_from_newest,
+            slip: self.node_builder.slip,
             node_continuous_from_base: self.motion.node_continuous_from_base,
             node_covariance: self.motion.node_covariance,
             last_break: self.frame.last_break,

@@ -38,7 +38,7 @@ fn is_scan(edge: &Edge) -> bool {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathCovariance {
     covariance: Matrix3<f64>,
-    /// Length of the newest part of the way that odometry alone measured, metres.
+    /// Length of the newest part of the way that odometry alone measured, or the part of the motion that scans left open, metres.
     odometry_m: f64,
 }
 
@@ -177,24 +177,22 @@ impl Graph {
         errors: EdgeNoiseModel,
     ) -> Option<PathCovariance> {
         let [a, b] = [edge.a, edge.b].map(|id| self.poses[id as usize]);
-        let same = || self.edges_of(edge.b).filter(|e| e.a == edge.a && e.b == edge.b);
         let information_of =
             |e: &Edge| if errors.as_claimed { e.information } else { e.measured_information() };
         let scaled = |e: &Edge| {
             if is_scan(e) { information_of(e) / errors.variance_factor } else { information_of(e) }
         };
-        let information = same().fold(Matrix3::identity() * REGULARISATION, |sum, e| sum + scaled(e));
+        let same = self.edges_between(edge.a, edge.b);
+        let information = same.fold(Matrix3::identity() * REGULARISATION, |sum, e| sum + scaled(e));
         let length_m = edge.a_from_b.x_m.hypot(edge.a_from_b.y_m);
         let drifts_over_m = if edge.kind == EdgeKind::Odometry { 0.0 } else { length_m };
-        let is_odometry_alone = edge.kind == EdgeKind::Odometry && !same().any(is_scan);
-        let odometry_m = if is_odometry_alone { known.odometry_m + length_m } else { 0.0 };
-        let repeated = errors.systematic.map(|per_m| match is_odometry_alone {
-            true => per_m.powi(2) * (odometry_m.powi(2) - known.odometry_m.powi(2)),
-            false => 0.0,
-        });
-        let added = [0, 1].map(|k| (errors.drift[k] * drifts_over_m).powi(2) + repeated[k]);
-        let added = Matrix3::from_diagonal(&Vector3::new(added[0], added[0], added[1]));
-        let measured = turn_covariance(information.try_inverse()?, a.yaw_rad) + added;
+        let drift = errors.drift.map(|per_m| (per_m * drifts_over_m).powi(2));
+        let drift = Matrix3::from_diagonal(&Vector3::new(drift[0], drift[0], drift[1]));
+        let odometry_m = if self.is_open(edge) { known.odometry_m + length_m } else { 0.0 };
+        let over_m2 = (odometry_m.powi(2) - known.odometry_m.powi(2)).max(0.0);
+        let repeated =
+            self.repeated_odometry_errors(edge, errors.systematic.map(|per_m| per_m.powi(2) * over_m2));
+        let measured = turn_covariance(information.try_inverse()? + drift + repeated, a.yaw_rad);
         let moved = |from: Pose2, to: Pose2| [to.x_m - from.x_m, to.y_m - from.y_m];
         let covariance = if from == edge.a {
             carry_covariance(known.covariance, moved(a, b)) + measured
@@ -202,6 +200,29 @@ impl Graph {
             carry_covariance(known.covariance + measured, moved(b, a))
         };
         Some(PathCovariance { covariance, odometry_m })
+    }
+}
+
+impl Graph {
+    /// Whether odometry alone measures a part of the motion between two nodes: all of it, or what their scans leave open.
+    fn is_open(&self, edge: &Edge) -> bool {
+        let same = || self.edges_between(edge.a, edge.b);
+        same().any(|e| e.kind == EdgeKind::Odometry)
+            && same().filter(|e| is_scan(e)).all(|e| e.degenerate_direction_rad.is_some())
+    }
+
+    /// Covariance of these variances of odometry in the axes of the edge's first node: in all directions, or along the one that scans
+    /// leave open.
+    fn repeated_odometry_errors(&self, edge: &Edge, [m2, rad2]: [f64; 2]) -> Matrix3<f64> {
+        let link = self.edges_between(edge.a, edge.b).find(|e| is_scan(e));
+        match link.map(|link| link.degenerate_direction_rad) {
+            None => Matrix3::from_diagonal(&Vector3::new(m2, m2, rad2)),
+            Some(None) => Matrix3::zeros(),
+            Some(Some(direction_rad)) => {
+                let axis = Vector3::new(direction_rad.cos(), direction_rad.sin(), 0.0);
+                axis * axis.transpose() * m2
+            }
+        }
     }
 }
 
@@ -249,6 +270,34 @@ mod tests {
         assert!((end[(1, 1)] - sideways).abs() < 1e-3, "{end}");
         assert!((end[(2, 2)] - 10.0 * 4e-4).abs() < 1e-4, "{end}");
         assert_eq!(graph.covariance(0), Matrix3::zeros());
+    }
+
+    #[test]
+    fn errors_of_odometry_that_repeat_grow_with_the_way_along_what_scans_leave_open() {
+        const PER_M: f64 = 0.05;
+        let end = |degenerate_direction_rad: Option<Option<f64>>| {
+            let mut graph = straight_path(11);
+            for id in 1..11 {
+                let Some(direction_rad) = degenerate_direction_rad else { continue };
+                let moved = Pose2::new(1.0, 0.0, 0.0);
+                let information = information_from_sigmas(0.01, 0.003);
+                graph.add_link([id - 1, id], moved, information, direction_rad, [0.0; 2]);
+            }
+            graph.update_covariances(0, [0.0; 2]);
+            let without = graph.covariance(10);
+            graph.update_covariances(0, [PER_M, 0.0]);
+            graph.covariance(10) - without
+        };
+        let grown = (PER_M * 10.0).powi(2);
+        // A corridor along x: scans measure nothing along it, and all across it.
+        let along_x = end(Some(Some(0.0)));
+        assert!((along_x[(0, 0)] - grown).abs() < 1e-9 && along_x[(1, 1)].abs() < 1e-9, "{along_x}");
+        let along_y = end(Some(Some(core::f64::consts::FRAC_PI_2)));
+        assert!(along_y[(0, 0)].abs() < 1e-9 && (along_y[(1, 1)] - grown).abs() < 1e-9, "{along_y}");
+        // Without scans in all directions; with scans that leave nothing open in none.
+        let alone = end(None);
+        assert!((alone[(0, 0)] - grown).abs() < 1e-9 && (alone[(1, 1)] - grown).abs() < 1e-9, "{alone}");
+        assert_eq!(end(Some(None)), Matrix3::zeros());
     }
 
     #[test]

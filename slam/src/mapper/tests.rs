@@ -29,6 +29,7 @@ fn node(id: u32, range_m: f32, beams: usize, is_tracked: bool) -> Node {
         previous_from_this: None,
         is_tracked,
         unmeasured_s: 0.0,
+        slip: [0.0; 3],
         possibly_kidnapped: false,
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),

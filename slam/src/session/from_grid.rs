@@ -56,6 +56,7 @@ impl Session {
                 previous_from_this: None,
                 is_tracked: true,
                 unmeasured_s: 0.0,
+                slip: [0.0; 3],
                 possibly_kidnapped: false,
                 cloud: Arc::new(cloud),
                 rays: Arc::new(Rays::new(&scan, &sweep, &config)),
