@@ -236,7 +236,10 @@ impl Description {
 
     /// Converts the image to a grid.
     fn grid(&self, pixels: &Pixels) -> Grid {
-        let table = self.cell_table();
+        let mut table = self.cell_table();
+        if self.mode == Mode::Trinary && !self.is_negated() && is_of_map_saver(&pixels.greys) {
+            table[usize::from(GREY_UNKNOWN)] = UNKNOWN;
+        }
         let (width, height) = (pixels.width as usize, pixels.height as usize);
         let mut cells = Vec::with_capacity(width * height);
         for row in (0..height).rev() {
@@ -255,12 +258,15 @@ impl Description {
         Grid { header, cells }
     }
 
+    fn is_negated(&self) -> bool {
+        matches!(self.negate, Flag::Number(1) | Flag::Truth(true))
+    }
+
     /// Returns the cell of each grey, as nav2_map_server's three modes define it.
     fn cell_table(&self) -> [i8; 256] {
         core::array::from_fn(|grey| {
             let shade = grey as f64 / 255.0;
-            let negated = matches!(self.negate, Flag::Number(1) | Flag::Truth(true));
-            let p = if negated { shade } else { 1.0 - shade };
+            let p = if self.is_negated() { shade } else { 1.0 - shade };
             match self.mode {
                 Mode::Raw if grey <= 100 => cell_of_probability(grey as f64 / 100.0),
                 Mode::Raw => UNKNOWN,
@@ -274,6 +280,12 @@ impl Description {
             }
         })
     }
+}
+
+/// Whether an image has map_saver's three greys alone. Then 205 is unknown, whatever `free_thresh` says: Nav2's map_saver
+/// writes 0.25, by which what nobody has seen would be free.
+fn is_of_map_saver(greys: &[Option<u8>]) -> bool {
+    greys.iter().flatten().all(|grey| [GREY_OCCUPIED, GREY_UNKNOWN, GREY_FREE].contains(grey))
 }
 
 /// Converts a probability to log-odds steps, at most [`LOADED_LOG_ODDS`] either way.

@@ -38,6 +38,16 @@ pub enum RobotNameError {
         /// The first name.
         other: String,
     },
+    /// Tools call another robot of the fleet so, by its number.
+    #[error(
+        "'{name}' is robot {number} here, and tools call another one so: keep the order robot1, robot2, ..., or choose another name"
+    )]
+    OtherNumber {
+        /// The name as configured.
+        name: String,
+        /// The robot's number in the fleet.
+        number: usize,
+    },
     /// The empty name is for a robot alone.
     #[error("'' is the name of a fleet's only robot: its topics are /scan and /odom; name all robots")]
     EmptyInFleet,
@@ -81,6 +91,11 @@ impl RobotNames {
             }
             if let Some(other) = names[..index].iter().find(|other| suffix(other) == suffix(name)) {
                 return Err(RobotNameError::Twice { name: name.clone(), other: other.clone() });
+            }
+        }
+        for (robot, name) in RobotId::first(names.len()).zip(&names) {
+            if RobotId::first(names.len()).any(|other| other != robot && other.to_string() == *name) {
+                return Err(RobotNameError::OtherNumber { name: name.clone(), number: robot.number() });
             }
         }
         Ok(Self { names })
@@ -329,6 +344,13 @@ mod tests {
         }
         assert!(matches!(named(&["a/b", "a_b"]), Err(RobotNameError::Twice { .. })));
         assert!(matches!(named(&["alice", "alice"]), Err(RobotNameError::Twice { .. })));
+        // What tools call robot 2 has to be robot 2.
+        assert!(matches!(named(&["robot2", "robot3"]), Err(RobotNameError::OtherNumber { number: 1, .. })));
+        assert!(
+            named(&["robot1", "robot2"]).is_ok()
+                && named(&["alice", "robot2"]).is_ok()
+                && named(&["robot7"]).is_ok()
+        );
         assert_eq!(named(&["", "bob"]), Err(RobotNameError::EmptyInFleet));
         assert_eq!(named(&[]), Err(RobotNameError::Count { count: 0 }));
     }

@@ -329,9 +329,7 @@ impl BackEnd {
             let drift = self.drift(closure.older_from_newer);
             self.graph.add_edge([a, b], closure.older_from_newer, information, EdgeKind::Closure, drift);
             let newest = self.graph.edges().len() - 1;
-            let edge = self.graph.edge_mut(newest);
-            edge.response = closure.response;
-            edge.degenerate_direction_rad = closure.degenerate_direction_rad;
+            self.graph.edge_mut(newest).response = closure.response;
         }
         self.restore_retracted(&closures);
         self.solve(true);

@@ -252,7 +252,6 @@ impl ClosureDetector {
             older: candidate,
             older_from_newer,
             information,
-            degenerate_direction_rad: fit.degenerate_direction_rad,
             response: peak.score.clamp(0.0, 1.0),
         })
     }

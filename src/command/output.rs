@@ -9,8 +9,8 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 /// Messages that are logged without `RUST_LOG`: a person at a terminal wants to know what went wrong, and, on a link between
-/// machines, who connects, as `connection_log` describes it.
-const LOG_DEFAULT: &str = "warn,zenoh=error,zenoh::net::routing::interceptor=info,zenoh_link_tls::unicast=debug,\
+/// machines, who connects, as `connection_log` describes it. RustDDS warns of each message to a node that it cannot reach yet.
+const LOG_DEFAULT: &str = "warn,rustdds=error,zenoh=error,zenoh::net::routing::interceptor=info,zenoh_link_tls::unicast=debug,\
      zenoh_link_quic::unicast=debug,zenoh_link_commons=error,zenoh_link_commons::quic::unicast=warn,quinn=error,\
      quinn_udp=error";
 

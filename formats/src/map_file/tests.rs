@@ -35,6 +35,16 @@ fn reads_what_map_saver_writes() {
 }
 
 #[test]
+fn what_nobody_has_seen_is_unknown_whatever_map_savers_free_threshold_is() {
+    let yaml = YAML.replace("0.196", "0.25");
+    let grid = read(&yaml, b"P5 2 2 255\n\x00\xfe\xcd\xfe").unwrap();
+    assert_eq!(grid.cells, [UNKNOWN, -LOADED_LOG_ODDS, LOADED_LOG_ODDS, -LOADED_LOG_ODDS]);
+    // Another program's greys mean what the thresholds say.
+    let graded = read(&yaml, b"P5 2 2 255\n\x00\xfe\xcd\xc8").unwrap();
+    assert_eq!(graded.cells[..2], [-LOADED_LOG_ODDS; 2]);
+}
+
+#[test]
 fn modes_and_negation() {
     let image = b"P5 4 1 255\n\x00\x32\x7f\xfe";
     let cells = |yaml: &str| read(yaml, image).unwrap().cells;

@@ -163,7 +163,6 @@ impl BackEnd {
             older: candidate,
             older_from_newer: self.graph.poses()[candidate as usize].between(map_from_node),
             information: information_from_sigmas(FOUND_M, FOUND_RAD),
-            degenerate_direction_rad: None,
             response: self.config.relocalize.response_min,
         }]);
     }

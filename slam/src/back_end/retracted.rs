@@ -101,16 +101,9 @@ impl BackEnd {
             self.break_odometry(step + 1);
         }
         self.update_components();
-        let Edge { a, b, a_from_b, information, degenerate_direction_rad, response, .. } =
-            self.graph.edges()[newest];
-        let closure = ClosureCandidate {
-            older: a,
-            newer: b,
-            older_from_newer: a_from_b,
-            information,
-            degenerate_direction_rad,
-            response,
-        };
+        let Edge { a, b, a_from_b, information, response, .. } = self.graph.edges()[newest];
+        let closure =
+            ClosureCandidate { older: a, newer: b, older_from_newer: a_from_b, information, response };
         self.align_components(&closure);
         for index in &conflicting {
             self.graph.edge_mut(*index).is_active = true;
@@ -164,7 +157,6 @@ mod tests {
             older: k,
             older_from_newer: Pose2::new(apart_m, 0.0, 0.0),
             information: information_from_sigmas(0.01, 0.003),
-            degenerate_direction_rad: None,
             response: 0.8,
         }
     }

@@ -16,8 +16,6 @@ pub struct ClosureCandidate {
     /// Inverse covariance in the frame of the earlier node, 1/m² and 1/rad².
     #[serde(with = "crate::encoding::matrix")]
     pub information: Matrix3<f64>,
-    /// Direction in which the scans do not determine the pose, in the frame of the earlier node, radians.
-    pub degenerate_direction_rad: Option<f64>,
     /// Mean field value under the later node's points, 0 to 1.
     pub response: f32,
 }

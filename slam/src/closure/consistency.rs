@@ -72,7 +72,6 @@ mod tests {
             older: 0,
             older_from_newer: Pose2::new(x_m, y_m, core::f64::consts::PI),
             information: information_from_sigmas(0.01, 0.003),
-            degenerate_direction_rad: None,
             response: 0.9,
         };
         // Found in the old aisle, where the path began, instead of 3 m beside it.
