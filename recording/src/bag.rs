@@ -1,27 +1,30 @@
 //! Scans and odometry of one robot in a bag from anywhere: LaserScan with Odometry, or with transforms.
 //!
-//! Sizes and numbers of a bag are not trusted: what is no measurement is counted and left out.
+//! Sizes and numbers of a bag are not trusted: what is no measurement is counted and left out. What could be another robot's,
+//! another scanner's or another time's is not used.
+
+mod epochs;
+mod error;
+mod found;
+mod frames;
+mod namespace;
+mod times;
+
+pub use error::BagError;
 
 use crate::pose_at::pose_at;
-use crate::{ReadError, RecordedMessage, RecordingReader, planar};
-use msg::{BEAMS_MAX, Pose2, Scan, Stamp};
-use ros_messages::cdr::Reader;
-use ros_messages::{LaserScan, Message, Odometry, TfMessage, read};
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use crate::{ReadError, RecordingReader};
+use epochs::Timed;
+use found::{Edges, Found, Poses, RawScan};
+use frames::{mirrored, mount, odometry_transform};
+use msg::{Pose2, Scan, Stamp};
+use namespace::{namespace, of_same_robot};
+use ros_messages::{LaserScan, Message as _};
 use std::io::Read;
+use times::{in_order, with_scans};
 
-/// Most scans of a bag: ten days at 40 Hz.
-const SCANS_MAX: usize = 36_000_000;
-/// Most bytes of ranges that are kept.
-const RANGES_BYTES_MAX: usize = 8 << 30;
-/// Most different transforms, and most frames between sensor and base.
-const FRAMES_MAX: usize = 4096;
-/// Most poses of odometry and transforms.
-const POSES_MAX: usize = 50_000_000;
 /// Name of a robot's topic with its true poses in the frame `world`.
 pub const GROUND_TRUTH: &str = "ground_truth";
-/// Fewest beams of a scan.
-const BEAMS_MIN: usize = 2;
 
 /// Which topics and frames of a bag are used; what is not named is found.
 #[derive(Clone, Debug, Default)]
@@ -32,8 +35,10 @@ pub struct BagOptions {
     pub odometry_topic: Option<String>,
     /// Frame of the odometry in transforms, such as `odom`.
     pub odom_frame: Option<String>,
-    /// Pose of the scanner on the robot's base, if no transform says it.
+    /// Pose of the scanner on the robot's base, whatever transforms say.
     pub base_from_scan: Option<Pose2>,
+    /// Pose of the scanner on the robot's base, if no transform says it.
+    pub recorded_base_from_scan: Option<Pose2>,
     /// Scans are used without odometry.
     pub without_odometry: bool,
     /// Topic of the true poses, of type nav_msgs/Odometry.
@@ -53,121 +58,95 @@ pub struct BagScan {
     pub angle_min_rad: f64,
     /// Angle between neighbouring beams, radians.
     pub angle_increment_rad: f64,
+    /// Time between neighbouring beams, seconds.
+    pub time_increment_s: f32,
+    /// Time between two scans, seconds.
+    pub scan_time_s: f32,
+    /// Range below which a reading is no measurement, metres.
+    pub range_min_m: f32,
     /// Range from which a reading means no return, metres.
-    pub range_max_m: f64,
+    pub range_max_m: f32,
     /// Range of each beam, metres.
     pub ranges_m: Vec<f32>,
 }
 
 /// What a bag has of a robot.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Bag {
     /// Scans in order of time.
     pub scans: Vec<BagScan>,
+    /// Odometry in order of time: each message, and the pose at each scan; empty without odometry.
+    pub odometry: Vec<(Stamp, Pose2)>,
     /// Pose of the scanner on the robot's base.
     pub base_from_scan: Pose2,
-    /// Messages that could not be decoded, or are no measurement.
-    pub malformed: u64,
-    /// Scans without odometry near them.
-    pub without_odometry: u64,
+    /// What is left out, and what was not as expected.
+    pub left_out: LeftOut,
     /// Why the file ends before its index, if it does.
     pub broken: Option<String>,
 }
 
-/// Reason why a bag cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum BagError {
-    /// The file cannot be read.
-    #[error(transparent)]
-    Read(#[from] ReadError),
-    /// What is needed is not in the part before the damage.
-    #[error("{error}; the file is damaged ({why}), and was used up to there")]
-    Damaged {
-        /// What is missing.
-        error: Box<BagError>,
-        /// Why the file ends before its index.
-        why: String,
-    },
-    /// There is no scan.
-    #[error("the bag has no sensor_msgs/LaserScan{} in CDR ({malformed} malformed messages); it has {}", on_topic(.wished), list(.topics))]
-    NoScan {
-        /// Topic that was named.
-        wished: Option<String>,
-        /// Number of malformed messages.
-        malformed: u64,
-        /// Topics of the bag with their types.
-        topics: Vec<String>,
-    },
-    /// Several topics have scans.
-    #[error("the bag has scans on {}; name one with --scan-topic", list(.0))]
-    SeveralScans(Vec<String>),
-    /// There is no odometry.
-    #[error(
-        "the bag has no odometry for {scan_topic}: expected nav_msgs/Odometry, or a transform from a frame `odom` (--odom-frame); \
-         it has odometry on {}; name one with --odom-topic, or use --no-odometry",
-        list(.topics)
-    )]
-    NoOdometry {
-        /// Topic of the scans.
-        scan_topic: String,
-        /// Topics with odometry.
-        topics: Vec<String>,
-    },
-    /// The topic that was named has no true poses.
-    #[error("the bag has no nav_msgs/Odometry on {wished}; it has it on {}; name one with --truth-topic", list(.topics))]
-    NoTruth {
-        /// Topic that was named.
-        wished: String,
-        /// Topics with odometry.
-        topics: Vec<String>,
-    },
-    /// No transform says where the scanner is.
-    #[error(
-        "no transform of the bag leads from `{scan_frame}` to `{base_frame}`; give the scanner's pose with --scanner X,Y,YAW"
-    )]
-    NoScanner {
-        /// Frame of the scans.
-        scan_frame: String,
-        /// Frame of the robot's base.
-        base_frame: String,
-    },
+/// Numbers of messages of a bag that are left out, and of times when its clock was set back.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LeftOut {
+    /// Messages that could not be decoded, or are no measurement.
+    pub malformed: u64,
+    /// Scans with more beams than [`msg::BEAMS_MAX`].
+    pub too_many_beams: u64,
+    /// Scans without odometry near them.
+    pub without_odometry: u64,
+    /// Scans in other frames than most.
+    pub other_frames: u64,
+    /// Scans with single wrong stamps.
+    pub stray_stamps: u64,
+    /// Times when the stamps went back by more than a second. The stamps after each go on after those before it.
+    pub clock_steps: u64,
 }
 
-fn on_topic(wished: &Option<String>) -> String {
-    wished.as_ref().map_or(String::new(), |topic| format!(" on {topic}"))
-}
-
-fn list(names: &[String]) -> String {
-    if names.is_empty() { "none".into() } else { names.join(", ") }
-}
-
-/// Odometry of one topic or transform.
+/// Reader of the files of one bag.
 #[derive(Default)]
-struct Poses {
-    base_frame: String,
-    poses: Vec<(Stamp, Pose2)>,
+pub struct BagReader {
+    found: Found,
+    broken: Option<String>,
 }
 
-/// A scan before its odometry is known.
-struct RawScan {
-    scan: BagScan,
-    frame: String,
+impl BagReader {
+    /// Reads a file of the bag, whatever their order. Returns when its first and its last scan were recorded; `None` without
+    /// a scan.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is no MCAP.
+    pub fn add<R: Read>(
+        &mut self,
+        reader: &mut RecordingReader<R>,
+        scan: &mut Scan,
+    ) -> Result<Option<(Stamp, Stamp)>, ReadError> {
+        let mut ends: Option<(Stamp, Stamp)> = None;
+        while let Some(message) = reader.next_message()? {
+            // Not of other messages: each part of a bag may repeat fixed transforms.
+            if &*message.message_type == LaserScan::TYPE {
+                let (first, last) = ends.unwrap_or((message.at, message.at));
+                ends = Some((first.min(message.at), last.max(message.at)));
+            }
+            self.found.add(&message, scan);
+        }
+        self.broken = self.broken.take().or_else(|| reader.broken().map(str::to_owned));
+        Ok(ends)
+    }
+
+    /// Returns the scans and the odometry of one robot.
+    ///
+    /// # Errors
+    /// The bag has not what is needed: each error says what there is instead.
+    pub fn finish(self, options: &BagOptions) -> Result<Bag, BagError> {
+        match (self.found.bag(options), self.broken) {
+            (Ok(bag), broken) => Ok(Bag { broken, ..bag }),
+            (Err(error), Some(why)) => Err(BagError::Damaged { error: Box::new(error), why }),
+            (Err(error), None) => Err(error),
+        }
+    }
 }
 
-/// What is found in a bag, by topic or by parent and child of a transform.
-#[derive(Default)]
-struct Found {
-    scans: BTreeMap<String, Vec<RawScan>>,
-    odometry: BTreeMap<String, Poses>,
-    transforms: HashMap<(String, String), Vec<(Stamp, Pose2)>>,
-    topics: BTreeSet<String>,
-    malformed: u64,
-    scan_count: usize,
-    ranges_bytes: usize,
-    pose_count: usize,
-}
-
-/// Reads the scans and the odometry of one robot.
+/// Reads the scans and the odometry of one robot in a bag of one file.
 ///
 /// # Errors
 /// The file is no MCAP, or has not what is needed: each error says what there is instead.
@@ -176,108 +155,59 @@ pub fn read_bag<R: Read>(
     options: &BagOptions,
     scan: &mut Scan,
 ) -> Result<Bag, BagError> {
-    let mut found = Found::default();
-    while let Some(message) = reader.next_message()? {
-        if found.topics.len() < FRAMES_MAX {
-            found.topics.insert(format!("{} ({})", message.topic, message.message_type));
-        }
-        if &*message.encoding == "cdr" && found.add(&message, scan).is_none() {
-            found.malformed += 1;
-        }
-    }
-    match (found.bag(options), reader.broken().map(str::to_owned)) {
-        (Ok(bag), broken) => Ok(Bag { broken, ..bag }),
-        (Err(error), Some(why)) => Err(BagError::Damaged { error: Box::new(error), why }),
-        (Err(error), None) => Err(error),
-    }
+    let mut bag = BagReader::default();
+    bag.add(reader, scan)?;
+    bag.finish(options)
+}
+
+/// Returns a frame's name without the slash that ROS 1 began them with.
+fn frame(name: &str) -> String {
+    name.strip_prefix('/').unwrap_or(name).to_owned()
 }
 
 impl Found {
-    fn add(&mut self, message: &RecordedMessage, scan: &mut Scan) -> Option<()> {
-        let from = || Reader::new(&message.payload).ok();
-        match &*message.message_type {
-            LaserScan::TYPE => {
-                let frame = read::laser_scan(&mut from()?, scan).ok()?.to_owned();
-                let bytes = size_of_val(scan.ranges_m());
-                if self.scan_count < SCANS_MAX && self.ranges_bytes + bytes <= RANGES_BYTES_MAX {
-                    let raw = RawScan { scan: checked(scan)?, frame };
-                    (self.scan_count, self.ranges_bytes) = (self.scan_count + 1, self.ranges_bytes + bytes);
-                    self.scans.entry(message.topic.to_string()).or_default().push(raw);
-                }
-            }
-            Odometry::TYPE if self.pose_count < POSES_MAX => {
-                let mut from = from()?;
-                let odometry = read::odometry(&mut from).ok()?;
-                let pose = planar::pose(odometry.translation, odometry.rotation)?;
-                let poses = self.odometry.entry(message.topic.to_string()).or_default();
-                poses.base_frame = odometry.child_frame_id.to_owned();
-                poses.poses.push((odometry.stamp, pose));
-                self.pose_count += 1;
-            }
-            TfMessage::TYPE => {
-                let mut is_well_formed = true;
-                let result = read::transforms(&mut from()?, |transform| {
-                    let key = (frame(transform.frame_id), frame(transform.child_frame_id));
-                    let is_new = !self.transforms.contains_key(&key);
-                    if self.pose_count >= POSES_MAX || (is_new && self.transforms.len() >= FRAMES_MAX) {
-                        return;
-                    }
-                    match planar::pose(transform.translation, transform.rotation) {
-                        Some(pose) => self.transforms.entry(key).or_default().push((transform.stamp, pose)),
-                        None => is_well_formed = false,
-                    }
-                    self.pose_count += 1;
-                });
-                result.ok().filter(|()| is_well_formed)?;
-            }
-            _ => {}
-        }
-        Some(())
-    }
-
     fn bag(mut self, options: &BagOptions) -> Result<Bag, BagError> {
         let scan_topic = self.scan_topic(options)?;
-        let mut scans = self.scans.remove(&scan_topic).unwrap_or_default();
-        scans.sort_by_key(|raw| raw.scan.stamp);
-        let scan_frame = scans.first().map_or(String::new(), |raw| frame(&raw.frame));
+        let mut left_out =
+            LeftOut { malformed: self.malformed, too_many_beams: self.too_many_beams, ..LeftOut::default() };
+        let transforms = self.robot_transforms(&scan_topic);
+        let scans = self.scans.get_mut(&scan_topic).map(std::mem::take).unwrap_or_default();
+        let (scan_frame, scans) = self.of_one_frame(scans, &mut left_out);
         let truth = self.truth(&scan_topic, options)?;
-        let odometry = if options.without_odometry { None } else { Some(self.poses(&scan_topic, options)?) };
-        let base_frame = odometry.as_ref().map_or(String::new(), |poses| frame(&poses.base_frame));
-        let base_from_scan = match options.base_from_scan {
-            Some(pose) => pose,
-            None if options.without_odometry => Pose2::new(0.0, 0.0, 0.0),
-            None => self
-                .base_from_scan(&scan_frame, &base_frame)
-                .ok_or(BagError::NoScanner { scan_frame, base_frame })?,
+        let odometry = if options.without_odometry {
+            None
+        } else {
+            Some(self.poses(&scan_topic, &scan_frame, &transforms, options)?)
         };
-        let mut bag = Bag {
-            scans: Vec::new(),
-            base_from_scan,
-            malformed: self.malformed,
-            without_odometry: 0,
-            broken: None,
-        };
-        for RawScan { scan, .. } in scans {
-            let pose = match &odometry {
-                None => Some(Pose2::new(0.0, 0.0, 0.0)),
-                Some(poses) => pose_at(&poses.poses, scan.stamp),
+        let base_frame = odometry.as_ref().map(|poses| frame(&poses.base_frame));
+        let mount = mount(&transforms, (&scan_topic, &scan_frame), base_frame.as_deref(), options)?;
+        let odometry = odometry.map(|poses| poses.poses).unwrap_or_default();
+        let (scans, odometry, truth) = in_order(&scan_topic, scans, odometry, truth, &mut left_out)?;
+        let mut bag = Bag { base_from_scan: mount.base_from_scan, ..Bag::default() };
+        for Timed { stamp, value: (_, scan), .. } in scans {
+            let pose =
+                if options.without_odometry { Some(Pose2::IDENTITY) } else { pose_at(&odometry, stamp) };
+            let Some(odom_from_base) = pose else {
+                left_out.without_odometry += 1;
+                continue;
             };
-            match pose {
-                Some(odom_from_base) => {
-                    let world_from_base = pose_at(&truth, scan.stamp);
-                    bag.scans.push(BagScan { odom_from_base, world_from_base, ..scan });
-                }
-                None => bag.without_odometry += 1,
-            }
+            let scan = BagScan { stamp, odom_from_base, world_from_base: pose_at(&truth, stamp), ..scan };
+            bag.scans.push(if mount.is_upside_down { mirrored(scan) } else { scan });
         }
+        bag.odometry = with_scans(odometry, &bag.scans);
+        bag.left_out = left_out;
         Ok(bag)
     }
 
     fn scan_topic(&self, options: &BagOptions) -> Result<String, BagError> {
-        let no_scan = || BagError::NoScan {
-            wished: options.scan_topic.clone(),
-            malformed: self.malformed,
-            topics: self.topics.iter().cloned().collect(),
+        let no_scan = || match self.compressed {
+            0 => BagError::NoScan {
+                wished: options.scan_topic.clone(),
+                malformed: self.malformed,
+                too_many_beams: self.too_many_beams,
+                topics: self.topics.iter().cloned().collect(),
+            },
+            _ => BagError::CompressedMessages,
         };
         match &options.scan_topic {
             Some(topic) if self.scans.contains_key(topic) => Ok(topic.clone()),
@@ -287,18 +217,44 @@ impl Found {
         }
     }
 
+    /// Returns the scans of the frame that most of them have, the first of several, and its name.
+    fn of_one_frame(&self, mut scans: Vec<RawScan>, left_out: &mut LeftOut) -> (String, Vec<RawScan>) {
+        let mut counts = vec![0_u64; self.scan_frames.len()];
+        scans.iter().for_each(|scan| counts[scan.value.0] += 1);
+        let most = (0..counts.len()).rev().max_by_key(|number| counts[*number]).unwrap_or(0);
+        let all = scans.len();
+        scans.retain(|scan| scan.value.0 == most);
+        left_out.other_frames = (all - scans.len()) as u64;
+        (self.scan_frames.get(most).cloned().unwrap_or_default(), scans)
+    }
+
+    /// Takes the transforms of the robot of a scan topic: of the nearest topic with fixed ones, and of the nearest with others.
+    fn robot_transforms(&mut self, scan_topic: &str) -> Edges {
+        let mut transforms = Edges::new();
+        let scan_topics: Vec<&str> = self.scans.keys().map(String::as_str).collect();
+        for fixed in [true, false] {
+            let is_wanted = |topic: &&str| topic.ends_with("tf_static") == fixed;
+            let topics: Vec<&str> = self.transforms.keys().map(String::as_str).filter(is_wanted).collect();
+            let own: Vec<String> =
+                of_same_robot(scan_topic, &scan_topics, &topics).into_iter().map(str::to_owned).collect();
+            for edges in own.iter().filter_map(|topic| self.transforms.remove(topic)) {
+                edges.into_iter().for_each(|(key, edge)| {
+                    transforms.entry(key).or_insert(edge);
+                });
+            }
+        }
+        transforms
+    }
+
     /// Takes the true poses: of the named topic, else of `ground_truth` in the scans' namespace, if there is one. They are no
     /// odometry.
-    fn truth(&mut self, scan_topic: &str, options: &BagOptions) -> Result<Vec<(Stamp, Pose2)>, BagError> {
-        let in_namespace = || format!("{}/{GROUND_TRUTH}", namespace(scan_topic).unwrap_or_default());
+    fn truth(&mut self, scan_topic: &str, options: &BagOptions) -> Result<Vec<Timed<Pose2>>, BagError> {
+        let in_namespace = || format!("{}/{GROUND_TRUTH}", namespace(scan_topic));
         let topic = options.truth_topic.clone().unwrap_or_else(in_namespace);
         let is_odometry = options.odometry_topic.as_ref() == Some(&topic);
         let found = if is_odometry { None } else { self.odometry.remove(&topic) };
         match (found, &options.truth_topic) {
-            (Some(Poses { mut poses, .. }), _) => {
-                poses.sort_by_key(|(stamp, _)| *stamp);
-                Ok(poses)
-            }
+            (Some(Poses { poses, .. }), _) => Ok(poses),
             (None, None) => Ok(Vec::new()),
             (None, Some(wished)) => Err(BagError::NoTruth {
                 wished: wished.clone(),
@@ -307,83 +263,33 @@ impl Found {
         }
     }
 
-    /// Returns the odometry: of the named topic, else of the scans' namespace (of several `odom`), else
-    /// of the only topic, else a transform's.
-    fn poses(&mut self, scan_topic: &str, options: &BagOptions) -> Result<Poses, BagError> {
-        let topics: Vec<String> = self.odometry.keys().cloned().collect();
-        let of_scans = Some(namespace(scan_topic).unwrap_or_default());
-        let in_namespace: Vec<&String> = topics.iter().filter(|topic| namespace(topic) == of_scans).collect();
-        let named_odom = in_namespace.iter().copied().find(|topic| topic.ends_with("/odom"));
-        let chosen = match (&options.odometry_topic, in_namespace.as_slice(), topics.as_slice()) {
-            (Some(wished), ..) => topics.iter().find(|topic| *topic == wished),
-            (None, _, _) if options.odom_frame.is_some() => None,
-            (None, [topic], _) => Some(*topic),
-            (None, [_, ..], _) if named_odom.is_some() => named_odom,
-            (None, _, [topic]) => Some(topic),
-            _ => None,
-        };
-        let mut poses = match chosen {
+    /// Returns the odometry: of the named topic, else of the topic that is nearest to the scans (of several `odom`), else a
+    /// transform's.
+    fn poses(
+        &mut self,
+        scan_topic: &str,
+        scan_frame: &str,
+        transforms: &Edges,
+        options: &BagOptions,
+    ) -> Result<Poses, BagError> {
+        let topics: Vec<&str> = self.odometry.keys().map(String::as_str).collect();
+        let scan_topics: Vec<&str> = self.scans.keys().map(String::as_str).collect();
+        let nearest = of_same_robot(scan_topic, &scan_topics, &topics);
+        let named_odom = nearest.iter().copied().find(|topic| topic.ends_with("/odom"));
+        let chosen = match (&options.odometry_topic, nearest.as_slice()) {
+            (Some(wished), _) => Some(wished.as_str()),
+            (None, _) if options.odom_frame.is_some() => None,
+            (None, [topic]) => Some(*topic),
+            (None, _) => named_odom,
+        }
+        .map(str::to_owned);
+        let poses = match &chosen {
             Some(topic) => self.odometry.remove(topic),
-            None if options.odometry_topic.is_some() => None,
-            None => self.odometry_transform(options),
-        }
-        .ok_or_else(|| BagError::NoOdometry { scan_topic: scan_topic.to_owned(), topics: topics.clone() })?;
-        poses.poses.sort_by_key(|(stamp, _)| *stamp);
-        Ok(poses)
-    }
-
-    /// Returns the only transform from the odometry's frame.
-    fn odometry_transform(&self, options: &BagOptions) -> Option<Poses> {
-        let is_odom = |name: &str| match &options.odom_frame {
-            Some(wished) => name == frame(wished),
-            None => name == "odom" || name.ends_with("/odom"),
+            None => odometry_transform(transforms, scan_frame, options),
         };
-        let mut edges = self.transforms.iter().filter(|((parent, _), _)| is_odom(parent));
-        let ((_, child), poses) = edges.next()?;
-        edges.next().is_none().then(|| Poses { base_frame: child.clone(), poses: poses.clone() })
+        poses.ok_or_else(|| BagError::NoOdometry {
+            scan_topic: scan_topic.to_owned(),
+            topics: self.odometry.keys().cloned().collect(),
+        })
     }
-
-    /// Returns the scanner's pose on the base, along the transforms between them.
-    fn base_from_scan(&self, scan_frame: &str, base_frame: &str) -> Option<Pose2> {
-        let (mut at, mut pose) = (scan_frame.to_owned(), Pose2::new(0.0, 0.0, 0.0));
-        for _ in 0..FRAMES_MAX {
-            if at == base_frame {
-                return Some(pose);
-            }
-            let ((parent, _), poses) = self.transforms.iter().find(|((_, child), _)| *child == at)?;
-            pose = poses.first()?.1 * pose;
-            at = parent.clone();
-        }
-        None
-    }
-}
-
-/// Returns what stands before the last slash of a topic's name; `None` without a slash.
-fn namespace(topic: &str) -> Option<&str> {
-    topic.rsplit_once('/').map(|(namespace, _)| namespace)
-}
-
-/// Returns a frame's name without the slash that ROS 1 began them with.
-fn frame(name: &str) -> String {
-    name.strip_prefix('/').unwrap_or(name).to_owned()
-}
-
-/// Returns a scan whose numbers are a measurement's.
-fn checked(scan: &Scan) -> Option<BagScan> {
-    let (first, step) = (f64::from(scan.angle_min_rad), f64::from(scan.angle_increment_rad));
-    let range_max_m = f64::from(scan.range_max_m);
-    let beams = scan.ranges_m().len();
-    let spans_a_turn_at_most = first.is_finite()
-        && step != 0.0
-        && (step * (beams as f64 - 1.0)).abs() <= std::f64::consts::TAU + step.abs();
-    let is_scan = (BEAMS_MIN..=BEAMS_MAX).contains(&beams) && spans_a_turn_at_most && range_max_m > 0.0;
-    is_scan.then(|| BagScan {
-        stamp: scan.header.stamp,
-        odom_from_base: Pose2::new(0.0, 0.0, 0.0),
-        world_from_base: None,
-        angle_min_rad: first,
-        angle_increment_rad: step,
-        range_max_m,
-        ranges_m: scan.ranges_m().to_vec(),
-    })
 }

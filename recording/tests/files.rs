@@ -173,7 +173,7 @@ fn a_file_of_another_kind_is_an_error() {
 #[test]
 fn odometry_is_taken_at_the_time_of_each_scan() {
     let bag = read(&bag(true, true), &BagOptions::default()).unwrap();
-    assert_eq!((bag.scans.len(), bag.malformed, bag.without_odometry), (20, 0, 0));
+    assert_eq!((bag.scans.len(), bag.left_out.malformed, bag.left_out.without_odometry), (20, 0, 0));
     assert!((bag.base_from_scan.x_m + 0.032).abs() < 1e-12);
     // The scan lies between two messages of odometry.
     let pose = bag.scans[1].odom_from_base;
@@ -263,7 +263,7 @@ fn numbers_that_are_no_measurement_are_counted_and_left_out() {
     messages.push(("/odom", RosOdometry::TYPE, 0, payload(&unit)));
     let options = BagOptions { without_odometry: true, ..BagOptions::default() };
     let bag = read(&file(&messages), &options).unwrap();
-    assert_eq!((bag.scans.len(), bag.malformed), (1, 7));
+    assert_eq!((bag.scans.len(), bag.left_out.malformed), (1, 7));
 }
 
 #[test]

@@ -4,8 +4,11 @@
 //! process, the front end waits when the back end is far behind: a log has time.
 
 mod error;
+mod feeder;
 mod fleet;
+mod log_files;
 mod options;
+mod outputs;
 mod player;
 mod player_services;
 mod recorded_fleet;
@@ -25,10 +28,10 @@ use crate::config::{FleetConfig, recorded_log_slam};
 use crate::session_file;
 use crate::sessions::TOLD_SIGMA;
 use clap::builder::RangedU64ValueParser;
-use formats::carmen::LaserLine;
+use feeder::Feeder;
 use formats::map_file::write_map_with_reasons;
 use merge::MergeConfig;
-use msg::{Odometry, Pose2, Scan, Stamp};
+use msg::{Pose2, Stamp};
 use options::Replay;
 use records::{BagArgs, Log, is_recording};
 use slam::{
@@ -113,11 +116,13 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     if let Some(fov) = args.fov_deg.filter(|fov| !(1.0..=360.0).contains(fov)) {
         return Err(ReplayError::FieldOfView(fov));
     }
+    outputs::check(args)?;
     let are_recordings = args.logs.iter().all(|path| is_recording(path));
     let of_fleet = args.merge.is_none() && !args.bag.are_given();
     // A configuration of another version is no obstacle where another one is given.
     let is_needed = are_recordings && (of_fleet || args.config.is_none());
     let recorded = if is_needed { recorded_fleet::configuration(&args.logs[0])? } else { None };
+    let mount = recorded_mount(args, recorded.as_ref());
     // Robots that were not simulated are replayed like a recording from elsewhere: their stamps are another machine's.
     if let Some(config) = recorded.as_ref().filter(|config| of_fleet && !config.world.is_external()) {
         options::refuse(Replay::Fleet, args)?;
@@ -137,20 +142,29 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     config.odometry.used &= !args.no_odometry;
     config.closures.enabled &= !args.no_closures;
     let log = match (args.logs.as_slice(), &args.merge) {
-        ([log], None) => log,
+        (log @ [_], None) => log,
         (logs, Some(starts)) if (2..=msg::ROBOTS_MAX).contains(&logs.len()) => {
             options::refuse(Replay::MergedLogs, args)?;
-            return fleet::run(args, starts, &config, &merging);
+            return fleet::run(args, starts, (&config, mount), &merging);
         }
+        // The parts of one recording.
+        (logs, None) if are_recordings => logs,
         (logs, _) => return Err(ReplayError::Logs(logs.len())),
     };
     let start = Instant::now();
-    let log = Log::read(log, args)?;
+    let log = Log::read(log, args, mount)?;
     let mut replayed = feed(&log, config, args)?;
     let wall_s = start.elapsed().as_secs_f64();
     replayed.summary.wall_s = Some(wall_s);
     replayed.summary.times_real_time = Some(replayed.duration_s / wall_s);
     finish(args, replayed, log.truth())
+}
+
+/// Returns the scanner's pose on the robot by the configuration of a fleet's recording; `None`: it is one from elsewhere.
+fn recorded_mount(args: &ReplayArgs, recorded: Option<&FleetConfig>) -> Option<Pose2> {
+    let read = || recorded_fleet::configuration(args.logs.first().filter(|path| is_recording(path))?).ok()?;
+    let [x_m, y_m, yaw_rad] = recorded.cloned().or_else(read)?.slam.lidar.base_from_scan;
+    Some(Pose2::new(x_m, y_m, yaw_rad))
 }
 
 fn finish(args: &ReplayArgs, replayed: Replayed, truth: &[(Stamp, Pose2)]) -> Result<(), ReplayError> {
@@ -198,26 +212,26 @@ fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed
             scans => ReplayError::AllSkipped { path, scans, skip: args.skip },
         });
     };
-    let on_robot = first.base_from_scan;
+    let on_robot = first.line.base_from_scan;
     config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
     let (mut front, mut back) = begin(args, config)?;
     let (to_back, nodes) = mpsc::sync_channel::<Node>(WAITING_MAX);
     let (to_front, frame_updates) = mpsc::channel::<MapFrameUpdate>();
     let mut summary = Summary { log: args.logs[0].display().to_string(), ..Default::default() };
-    let started = first.stamp;
+    let started = first.line.stamp;
     let mut ended = started;
     let mut localized = None;
     let localizes = args.mode == Mode::Localization;
     std::thread::scope(|scope| {
         let back = &mut back;
         let back_end = scope.spawn(move || run_back_end(back, nodes, to_front));
-        let mut feeder = Feeder::new(args);
+        let mut feeder = Feeder::new(args, log);
         let front = &mut front;
         let mut next = Some(first);
-        while let Some(line) = next {
-            ended = line.stamp;
+        while let Some(scan) = next {
+            ended = scan.line.stamp;
             frame_updates.try_iter().for_each(|frame_update| front.add_frame_update(frame_update));
-            if let Some(node) = feeder.scan(front, &line)
+            if let Some(node) = feeder.scan(front, &scan)
                 && to_back.send(node).is_ok()
                 && localizes
             {
@@ -237,6 +251,7 @@ fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed
         summary.back_end_ms = Percentiles::of(back_end.join().unwrap_or_default());
     });
     (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.skipped());
+    summary.left_out = log.left_out().into();
     summary.count(&front, &back);
     let Pose2 { x_m, y_m, yaw_rad } = back.latest_frame_update().map_from_local * front.local_from_base();
     summary.ends_at = [x_m, y_m, yaw_rad];
@@ -282,58 +297,6 @@ fn run_back_end(
     back.finish();
     times.push(start.elapsed());
     times
-}
-
-/// Converts log lines to messages and feeds them to the front end.
-struct Feeder {
-    scan: Box<Scan>,
-    seq: u64,
-    fov_rad: Option<f64>,
-    times: Vec<Duration>,
-    noted: Instant,
-    /// Scans that got no pose in the map.
-    not_located: u64,
-    /// Stamps and poses in the map of the others.
-    located: Vec<(Stamp, Pose2)>,
-}
-
-impl Feeder {
-    fn new(args: &ReplayArgs) -> Self {
-        let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
-        let fov_rad = args.fov_deg.map(f64::to_radians);
-        Self {
-            scan,
-            seq: 0,
-            fov_rad,
-            times: Vec::new(),
-            noted: Instant::now(),
-            not_located: 0,
-            located: Vec::new(),
-        }
-    }
-
-    fn scan(&mut self, front: &mut FrontEnd, line: &LaserLine) -> Option<Node> {
-        line.write_to(&mut self.scan, self.seq, self.fov_rad);
-        self.seq += 1;
-        let header = msg::Header { stamp: line.stamp, ..Default::default() };
-        let odometry = Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() };
-        front.add_odometry(&odometry);
-        let start = Instant::now();
-        let step = front.process(&self.scan);
-        self.times.push(start.elapsed());
-        if step.rejected.is_none() {
-            if front.is_located() {
-                self.located.push((line.stamp, step.pose_estimate.map_from_base));
-            } else {
-                self.not_located += 1;
-            }
-        }
-        if self.noted.elapsed() > PROGRESS {
-            self.noted = Instant::now();
-            output::note(&format!("{} scans, {} nodes", self.seq, step.pose_estimate.nodes));
-        }
-        step.node
-    }
 }
 
 #[cfg(test)]

@@ -62,6 +62,40 @@ pub enum ReplayError {
         /// Number of scans far from all odometry.
         without_odometry: u64,
     },
+    /// A folder is no bag.
+    #[error(
+        "{path} is a folder; expected a rosbag2 bag with its metadata.yaml, or names of .mcap files: {source}"
+    )]
+    BagFolder {
+        /// Path of the folder.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: std::io::Error,
+    },
+    /// A bag of a kind that is not read.
+    #[error(
+        "{path} is {what}, which is not supported; expected MCAP, uncompressed or with compressed chunks: convert it with \
+         `ros2 bag convert` to storage_id mcap without compression_mode, or with `rosbags-convert`"
+    )]
+    BagFormat {
+        /// Path of the file or folder.
+        path: PathBuf,
+        /// What it is.
+        what: String,
+    },
+    /// Several recordings are not parts of one.
+    #[error(
+        "the scans of {second} begin {pause_s:.1} s after the last of {first}: expected the parts of one bag, without longer pauses and \
+         overlaps (`mcap merge` joins others), or --merge for several robots"
+    )]
+    NotOneBag {
+        /// Path of the part before.
+        first: PathBuf,
+        /// Path of the part after it.
+        second: PathBuf,
+        /// Time from the last scan of one to the first of the other, seconds.
+        pause_s: f64,
+    },
     /// A recording has not what is needed.
     #[error("{path}: {why}")]
     Bag {
@@ -102,7 +136,7 @@ pub enum ReplayError {
     #[error("--fov-deg is {0}; expected 1 to 360 degrees")]
     FieldOfView(f64),
     /// Several logs without `--merge`, or too many.
-    #[error("{0} logs: expected one, or 2 to {max} with --merge", max = msg::ROBOTS_MAX)]
+    #[error("{0} logs: expected one, 2 to {max} with --merge, or the .mcap files of one recording", max = msg::ROBOTS_MAX)]
     Logs(usize),
     /// A line of the file with the starts is malformed.
     #[error(

@@ -3,11 +3,11 @@
 //! Scans are used in the order of their stamps. Each robot has its own SLAM, and the fleet's pose graph gets each
 //! submap when it would get it live. One thread: the same logs give the same maps.
 
-use super::records::{Log, Records};
+use super::feeder::Feeder;
+use super::records::{Log, LogScan, Records};
 use super::trajectory_error::TrajectoryError;
-use super::{Feeder, ReplayArgs, ReplayError, Summary, trajectory::write_trajectory};
+use super::{ReplayArgs, ReplayError, Summary, trajectory::write_trajectory};
 use crate::command::output;
-use formats::carmen::LaserLine;
 use formats::map_file::write_map_with_reasons;
 use merge::{FleetPoseGraph, MergeConfig, Merger};
 use msg::{Grid, MergeEdges, Pose2, RobotId, Stamp, SubmapPoses};
@@ -97,11 +97,11 @@ struct Robot<'a> {
     id: RobotId,
     records: Records<'a>,
     truth: &'a [(Stamp, Pose2)],
-    next: Option<LaserLine>,
+    next: Option<LogScan>,
     front: FrontEnd,
     back: BackEnd,
     submaps: Submaps,
-    feeder: Feeder,
+    feeder: Feeder<'a>,
     summary: Summary,
 }
 
@@ -109,11 +109,11 @@ struct Robot<'a> {
 pub fn run(
     args: &ReplayArgs,
     starts: &Starts,
-    config: &SlamConfig,
+    (config, mount): (&SlamConfig, Option<Pose2>),
     merging: &MergeConfig,
 ) -> Result<(), ReplayError> {
     let began = Instant::now();
-    let logs = args.logs.iter().map(|path| Log::read(path, args)).collect::<Result<Vec<_>, _>>()?;
+    let logs = args.logs.chunks(1).map(|log| Log::read(log, args, mount)).collect::<Result<Vec<_>, _>>()?;
     let known = match starts {
         Starts::Known(file) => read_starts(file, logs.len())?,
         Starts::Unknown => vec![None; logs.len()],
@@ -157,19 +157,20 @@ impl<'a> Robot<'a> {
             return Err(ReplayError::NoScan { path: path.to_owned(), skipped, malformed });
         };
         let mut config = config.clone();
-        let on_robot = first.base_from_scan;
+        let on_robot = first.line.base_from_scan;
         config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
         let (front, back) = Slam::new(config.clone()).split();
-        let summary = Summary { log: path.display().to_string(), ..Summary::default() };
-        let (submaps, feeder) = (Submaps::new(&config), Feeder::new(args));
+        let left_out = log.left_out().into();
+        let summary = Summary { log: path.display().to_string(), left_out, ..Summary::default() };
+        let (submaps, feeder) = (Submaps::new(&config), Feeder::new(args, log));
         let truth = log.truth();
         Ok(Self { id, records, truth, next: Some(first), front, back, submaps, feeder, summary })
     }
 
     /// Feeds the next scan to SLAM. Returns whether it became a node.
     fn scan(&mut self) -> bool {
-        let Some(line) = self.next.take() else { return false };
-        let node = self.feeder.scan(&mut self.front, &line);
+        let Some(scan) = self.next.take() else { return false };
+        let node = self.feeder.scan(&mut self.front, &scan);
         self.next = self.records.next_laser();
         let made = node.is_some();
         if let Some(node) = node {
@@ -192,7 +193,8 @@ struct Merged {
 impl Merged {
     /// Feeds all scans in the order of their stamps.
     fn replay<'a>(&mut self, mut robots: Vec<Robot<'a>>) -> Vec<Robot<'a>> {
-        let due = |robot: &&mut Robot<'a>| robot.next.as_ref().map(|line| (line.stamp, robot.id.index()));
+        let due =
+            |robot: &&mut Robot<'a>| robot.next.as_ref().map(|scan| (scan.line.stamp, robot.id.index()));
         while let Some(robot) = robots.iter_mut().filter(|r| r.next.is_some()).min_by_key(due) {
             if robot.scan() {
                 self.send(robot);

@@ -1,6 +1,6 @@
 //! Replay of a fleet's own recording: the robots send what they sent, and SLAM, merging and figures run in lockstep.
 
-use super::{ReplayArgs, ReplayError, player, serve};
+use super::{ReplayArgs, ReplayError, log_files, player, serve};
 use crate::command::output;
 use crate::config::FleetConfig;
 use crate::lockstep::Lockstep;
@@ -18,7 +18,7 @@ use std::time::Instant;
 
 /// Returns the configuration of the fleet whose recording this is; `None` if it is one from elsewhere.
 pub fn configuration(path: &Path) -> Result<Option<FleetConfig>, ReplayError> {
-    let mut reader = open(path)?;
+    let mut reader = open(&log_files::files_of(path)?[0])?;
     reader.next_message().map_err(|why| bag_error(path, why))?;
     let Some(text) = reader.metadata(METADATA).and_then(|metadata| metadata.get(CONFIGURATION)) else {
         return Ok(None);
@@ -115,7 +115,8 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<FleetRecording, Repla
     let mut first: Option<[Option<String>; 2]> = None;
     let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
     let mut recording = FleetRecording::new(&config.robot_names(), PLANAR_ODOMETRY, scan);
-    for path in paths {
+    let files = paths.iter().map(|path| log_files::files_of(path)).collect::<Result<Vec<_>, _>>()?.concat();
+    for path in &files {
         let mut reader = open(path)?;
         while let Some(message) = reader.next_message().map_err(|why| bag_error(path, why))? {
             recording.add(&message);

@@ -1,15 +1,13 @@
 //! Scans of a log: a CARMEN log, or a recording in MCAP.
 
+use super::log_files;
 use super::{ReplayArgs, ReplayError};
 use crate::command::output;
 use formats::carmen::{LaserLine, Reader, Record};
 use formats::gzip;
 use msg::{Pose2, Scan, Stamp};
-use recording::RecordingReader;
-use recording::bag::{BagOptions, BagScan, read_bag};
-use std::fs::File;
-use std::io::BufReader;
-use std::path::Path;
+use recording::bag::{Bag, BagOptions, BagScan, LeftOut};
+use std::path::{Path, PathBuf};
 
 /// Largest CARMEN log when unpacked, bytes.
 const LOG_MAX: u64 = 1 << 30;
@@ -45,18 +43,16 @@ impl BagArgs {
     }
 }
 
-/// Returns whether a file is named as a recording in MCAP.
+/// Returns whether a file is named as a recording in MCAP, or is a folder, as rosbag2 writes it.
 pub fn is_recording(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) || path.is_dir()
 }
 
 /// Scans of a recording.
 pub struct RecordedScans {
-    lines: Vec<LaserLine>,
+    bag: Bag,
     /// Stamps of the scans of which the recording has the true pose of the base, and these poses, in order of time.
     world_from_base: Vec<(Stamp, Pose2)>,
-    /// Number of malformed messages.
-    malformed: u64,
 }
 
 /// A log that was read.
@@ -64,15 +60,57 @@ pub enum Log {
     /// Text of a CARMEN log.
     Carmen(Vec<u8>),
     /// Scans of a recording.
-    Recording(RecordedScans),
+    Recording(Box<RecordedScans>),
+}
+
+/// A scan of a log, and what a line of a CARMEN log does not say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LogScan {
+    /// The scan, with the odometry at its stamp.
+    pub line: LaserLine,
+    /// Times and limits of a recording's scan; `None`: those of a CARMEN log.
+    pub details: Option<ScanDetails>,
+}
+
+/// Times and limits of a scan that lines of a CARMEN log do not have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScanDetails {
+    /// Time between neighbouring beams, seconds.
+    pub time_increment_s: f32,
+    /// Time between two scans, seconds.
+    pub scan_time_s: f32,
+    /// Range below which a reading is no measurement, metres.
+    pub range_min_m: f32,
+}
+
+impl LogScan {
+    /// Fills a scan message with sequence number `seq`; `fov_rad` keeps the central beams only.
+    pub fn write_to(&self, scan: &mut Scan, seq: u64, fov_rad: Option<f64>) {
+        self.line.write_to(scan, seq, fov_rad);
+        let Some(details) = &self.details else { return };
+        (scan.time_increment_s, scan.scan_time_s) = (details.time_increment_s, details.scan_time_s);
+        scan.range_min_m = details.range_min_m;
+        // The stamp is the time of the first beam, of those that are kept.
+        let before =
+            (f64::from(scan.angle_min_rad) - self.line.angle_min_rad) / self.line.angle_increment_rad;
+        let late_ns = before.round() * f64::from(details.time_increment_s) * 1e9;
+        scan.header.stamp = Stamp(scan.header.stamp.0.saturating_add(late_ns as i64));
+    }
 }
 
 impl Log {
-    /// Reads a log, unpacked if it is gzip, or the scans of a recording.
-    pub fn read(path: &Path, args: &ReplayArgs) -> Result<Self, ReplayError> {
-        let fail = |source| ReplayError::Read { path: path.to_owned(), source };
+    /// Reads a log, unpacked if it is gzip, or the scans of a recording, whose files may be several. `recorded_mount` is the
+    /// scanner's pose on the robot by the recording's own configuration.
+    pub fn read(
+        paths: &[PathBuf],
+        args: &ReplayArgs,
+        recorded_mount: Option<Pose2>,
+    ) -> Result<Self, ReplayError> {
+        let path = &paths[0];
         if !is_recording(path) {
+            let fail = |source| ReplayError::Read { path: path.clone(), source };
             let bytes = formats::limited::read(path, LOG_MAX).map_err(fail)?;
+            log_files::refuse_other_formats(path, &bytes)?;
             return gzip::unpack(bytes, LOG_MAX).map(Self::Carmen).map_err(fail);
         }
         let options = BagOptions {
@@ -80,43 +118,45 @@ impl Log {
             odometry_topic: args.bag.odom_topic.clone(),
             odom_frame: args.bag.odom_frame.clone(),
             base_from_scan: args.bag.scanner,
+            recorded_base_from_scan: recorded_mount,
             without_odometry: args.no_odometry,
             truth_topic: args.bag.truth_topic.clone(),
         };
-        let mut reader = RecordingReader::new(BufReader::new(File::open(path).map_err(fail)?));
-        let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
-        let bag = read_bag(&mut reader, &options, &mut scan)
-            .map_err(|why| ReplayError::Bag { path: path.to_owned(), why })?;
-        if let Some(why) = &bag.broken {
-            output::note(&format!("{}: {why}; used up to there", path.display()));
-        }
-        if bag.without_odometry > 0 {
-            let (path, count) = (path.display(), bag.without_odometry);
-            output::note(&format!(
-                "{path}: {count} scans have no odometry within 0.5 s and are left out; do both have one clock?"
-            ));
-        }
+        let bag = log_files::read_bag(paths, &options)?;
+        note_left_out(path, &bag);
         if bag.scans.is_empty() {
-            return Err(ReplayError::NoScanOfBag {
-                path: path.to_owned(),
-                malformed: bag.malformed,
-                without_odometry: bag.without_odometry,
-            });
+            let LeftOut { malformed, without_odometry, .. } = bag.left_out;
+            return Err(ReplayError::NoScanOfBag { path: path.clone(), malformed, without_odometry });
         }
-        let (base_from_scan, malformed) = (bag.base_from_scan, bag.malformed);
         let truth = bag.scans.iter().filter_map(|scan| Some((scan.stamp, scan.world_from_base?)));
         let world_from_base = truth.collect();
-        let lines = bag.scans.into_iter().map(|scan| laser_line(scan, base_from_scan)).collect();
-        Ok(Self::Recording(RecordedScans { lines, world_from_base, malformed }))
+        Ok(Self::Recording(Box::new(RecordedScans { bag, world_from_base })))
     }
 
     /// Returns the scans.
     pub fn records(&self) -> Records<'_> {
         match self {
             Self::Carmen(bytes) => Records { source: Source::Carmen(Reader::new(bytes)), malformed: 0 },
-            Self::Recording(scans) => {
-                Records { source: Source::Scans(scans.lines.iter()), malformed: scans.malformed }
-            }
+            Self::Recording(scans) => Records {
+                source: Source::Scans(scans.bag.scans.iter(), scans.bag.base_from_scan),
+                malformed: scans.bag.left_out.malformed,
+            },
+        }
+    }
+
+    /// Returns the odometry of a recording in order of time; empty where each scan has its own.
+    pub fn odometry(&self) -> &[(Stamp, Pose2)] {
+        match self {
+            Self::Carmen(_) => &[],
+            Self::Recording(scans) => &scans.bag.odometry,
+        }
+    }
+
+    /// Returns what is left out of a recording.
+    pub fn left_out(&self) -> LeftOut {
+        match self {
+            Self::Carmen(_) => LeftOut::default(),
+            Self::Recording(scans) => scans.bag.left_out,
         }
     }
 
@@ -129,25 +169,45 @@ impl Log {
     }
 }
 
-fn laser_line(scan: BagScan, base_from_scan: Pose2) -> LaserLine {
-    let BagScan {
-        stamp,
-        odom_from_base,
-        world_from_base: _,
-        angle_min_rad,
-        angle_increment_rad,
-        range_max_m,
-        ranges_m,
-    } = scan;
-    LaserLine {
-        stamp,
-        odom_from_base,
-        base_from_scan,
-        angle_min_rad,
-        angle_increment_rad,
-        range_max_m,
-        ranges_m,
+/// Says what is left out of a recording, and why.
+fn note_left_out(path: &Path, bag: &Bag) {
+    let path = path.display();
+    if let Some(why) = &bag.broken {
+        output::note(&format!("{path}: {why}; used up to there"));
     }
+    let LeftOut { malformed: _, too_many_beams, without_odometry, other_frames, stray_stamps, clock_steps } =
+        bag.left_out;
+    let reasons = [
+        (without_odometry, "scans have no odometry within 0.5 s and are left out; do both have one clock?"),
+        (too_many_beams, "scans have more than 4096 beams, which is the limit, and are left out"),
+        (other_frames, "scans are of another scanner (frame_id) than most on this topic and are left out"),
+        (stray_stamps, "scans have single stamps that are wrong by more than a second and are left out"),
+        (
+            clock_steps,
+            "times the clock of the stamps was set back by more than a second; the stamps after that go on after those before it",
+        ),
+    ];
+    for (count, reason) in reasons.into_iter().filter(|(count, _)| *count > 0) {
+        output::note(&format!("{path}: {count} {reason}"));
+    }
+}
+
+fn log_scan(scan: &BagScan, base_from_scan: Pose2) -> LogScan {
+    let line = LaserLine {
+        stamp: scan.stamp,
+        odom_from_base: scan.odom_from_base,
+        base_from_scan,
+        angle_min_rad: scan.angle_min_rad,
+        angle_increment_rad: scan.angle_increment_rad,
+        range_max_m: f64::from(scan.range_max_m),
+        ranges_m: scan.ranges_m.clone(),
+    };
+    let details = ScanDetails {
+        time_increment_s: scan.time_increment_s,
+        scan_time_s: scan.scan_time_s,
+        range_min_m: scan.range_min_m,
+    };
+    LogScan { line, details: Some(details) }
 }
 
 /// Laser scans of a log.
@@ -159,19 +219,21 @@ pub struct Records<'a> {
 
 enum Source<'a> {
     Carmen(Reader<'a>),
-    Scans(std::slice::Iter<'a, LaserLine>),
+    Scans(std::slice::Iter<'a, BagScan>, Pose2),
 }
 
 impl Records<'_> {
     /// Returns the next scan. Scan lines carry the odometry at which they were taken, so ODOM lines add nothing.
-    pub fn next_laser(&mut self) -> Option<LaserLine> {
+    pub fn next_laser(&mut self) -> Option<LogScan> {
         let reader = match &mut self.source {
-            Source::Scans(lines) => return lines.next().cloned(),
+            Source::Scans(scans, base_from_scan) => {
+                return scans.next().map(|scan| log_scan(scan, *base_from_scan));
+            }
             Source::Carmen(reader) => reader,
         };
         loop {
             match reader.next()? {
-                Ok(Record::Laser(line)) => return Some(line),
+                Ok(Record::Laser(line)) => return Some(LogScan { line, details: None }),
                 Ok(Record::Odometry(_)) => {}
                 Err(error) => {
                     self.malformed += 1;
@@ -187,7 +249,7 @@ impl Records<'_> {
     pub fn skipped(&self) -> u64 {
         match &self.source {
             Source::Carmen(reader) => reader.skipped(),
-            Source::Scans(_) => 0,
+            Source::Scans(..) => 0,
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Summary of a replay, for people and for programs.
 
 use super::trajectory_error::TrajectoryError;
+use recording::bag::LeftOut;
 use serde::Serialize;
 use slam::{BackEnd, ClosureSearchCounts, FrontEnd, ReliabilityEvidence, RelocalizationCounts};
 use std::time::Duration;
@@ -33,6 +34,10 @@ pub struct Summary {
     pub malformed_lines: u64,
     /// Number of lines of other kinds.
     pub skipped_lines: u64,
+    /// What is left out of a recording.
+    pub left_out: LeftOutOfLog,
+    /// Number of scans from which the robot's motion during the sweep was not removed.
+    pub not_deskewed: u64,
     /// Number of nodes in the pose graph.
     pub nodes: usize,
     /// Number of nodes that nothing connects with the map: they are not in it.
@@ -91,6 +96,18 @@ impl Summary {
                 s.relocalization.contradicted
             );
         }
+        let rejected = s.rejected_stamp_repeated + s.rejected_stamp_went_back + s.rejected_other;
+        if rejected > 0 {
+            text += &format!(
+                "  left out  {rejected} scans whose stamps repeat or go back, or whose geometry is wrong\n"
+            );
+        }
+        if s.not_deskewed > 0 {
+            text += &format!(
+                "  skewed    {} scans whose time increment is implausible, or during which the motion is unknown\n",
+                s.not_deskewed
+            );
+        }
         text += &s.error.map_or(String::new(), |error| error.text());
         if s.unplaced_nodes > 0 {
             text += &format!(
@@ -121,6 +138,7 @@ impl Summary {
         (self.scans, self.lost) = (counts.accepted, counts.lost);
         (self.rejected_stamp_repeated, self.rejected_stamp_went_back) =
             (counts.rejected_stamp_repeated, counts.rejected_stamp_went_back);
+        self.not_deskewed = counts.not_deskewed;
         self.rejected_other = counts.rejected_beam_count + counts.rejected_geometry;
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
@@ -132,6 +150,36 @@ impl Summary {
         self.failed_solutions = done.failed_solutions;
         self.closure_searches = done.searches;
         self.relocalization = done.relocalization;
+    }
+}
+
+/// Numbers of scans of a recording that are left out, and of times when its clock was set back.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct LeftOutOfLog {
+    /// Scans with more beams than [`msg::BEAMS_MAX`].
+    pub too_many_beams: u64,
+    /// Scans without odometry near them.
+    pub without_odometry: u64,
+    /// Scans of another scanner than most on the topic.
+    pub other_frames: u64,
+    /// Scans with single wrong stamps.
+    pub stray_stamps: u64,
+    /// Times when the stamps went back by more than a second.
+    pub clock_steps: u64,
+}
+
+impl From<LeftOut> for LeftOutOfLog {
+    fn from(left_out: LeftOut) -> Self {
+        // Malformed messages are counted with malformed lines.
+        let LeftOut {
+            malformed: _,
+            too_many_beams,
+            without_odometry,
+            other_frames,
+            stray_stamps,
+            clock_steps,
+        } = left_out;
+        Self { too_many_beams, without_odometry, other_frames, stray_stamps, clock_steps }
     }
 }
 

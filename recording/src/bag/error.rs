@@ -1,0 +1,126 @@
+//! Reasons why a bag cannot be used, and what to do about each.
+
+use crate::ReadError;
+use crate::planar::TILT_MAX_DEG;
+use msg::BEAMS_MAX;
+
+/// Reason why a bag cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum BagError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// What is needed is not in the part before the damage.
+    #[error("{error}; the file is damaged ({why}), and was used up to there")]
+    Damaged {
+        /// What is missing.
+        error: Box<BagError>,
+        /// Why the file ends before its index.
+        why: String,
+    },
+    /// There is no scan.
+    #[error(
+        "the bag has no sensor_msgs/LaserScan{} in CDR ({malformed} malformed messages, {too_many_beams} scans with more than \
+         {BEAMS_MAX} beams, which is the limit); it has {}",
+        on_topic(.wished), list(.topics)
+    )]
+    NoScan {
+        /// Topic that was named.
+        wished: Option<String>,
+        /// Number of malformed messages.
+        malformed: u64,
+        /// Number of scans with too many beams.
+        too_many_beams: u64,
+        /// Topics of the bag with their types.
+        topics: Vec<String>,
+    },
+    /// Each message is compressed by itself.
+    #[error(
+        "the bag's messages are compressed one by one (rosbag2's compression_mode MESSAGE), which is not supported: \
+         expected none or compressed chunks; convert it with `ros2 bag convert` to storage_id mcap without compression_mode"
+    )]
+    CompressedMessages,
+    /// Several topics have scans.
+    #[error("the bag has scans on {}; name one with --scan-topic", list(.0))]
+    SeveralScans(Vec<String>),
+    /// There is no odometry.
+    #[error(
+        "the bag has no odometry for {scan_topic}: expected one nav_msgs/Odometry of the same robot, or a transform from one frame \
+         `odom` (--odom-frame) in its namespace; it has odometry on {}; name one with --odom-topic, or use --no-odometry",
+        list(.topics)
+    )]
+    NoOdometry {
+        /// Topic of the scans.
+        scan_topic: String,
+        /// Topics with odometry.
+        topics: Vec<String>,
+    },
+    /// The topic that was named has no true poses.
+    #[error("the bag has no nav_msgs/Odometry on {wished}; it has it on {}; name one with --truth-topic", list(.topics))]
+    NoTruth {
+        /// Topic that was named.
+        wished: String,
+        /// Topics with odometry.
+        topics: Vec<String>,
+    },
+    /// No transform says where the scanner is.
+    #[error(
+        "no transform of the robot of {scan_topic} leads from `{scan_frame}` to `{base_frame}`; give the scanner's pose with \
+         --scanner X,Y,YAW"
+    )]
+    NoScanner {
+        /// Topic of the scans.
+        scan_topic: String,
+        /// Frame of the scans.
+        scan_frame: String,
+        /// Frame of the robot's base.
+        base_frame: String,
+    },
+    /// The scanner does not measure in the plane.
+    #[error(
+        "the transforms tilt the scanner `{scan_frame}` by {tilt_deg:.0} degrees against `{base_frame}`; expected a horizontal \
+         scanner, upright or upside down within {TILT_MAX_DEG} degrees; if the transform is wrong, give the pose with --scanner X,Y,YAW"
+    )]
+    Tilted {
+        /// Frame of the scans.
+        scan_frame: String,
+        /// Frame of the robot's base.
+        base_frame: String,
+        /// Angle between the planes, degrees.
+        tilt_deg: f64,
+    },
+    /// The scanner moves on the robot, or two robots have the same frames.
+    #[error(
+        "the transform from `{parent}` to `{child}` changes, by which the scanner is mounted: expected a fixed scanner, and one robot on \
+         one topic; give the scanner's pose with --scanner X,Y,YAW"
+    )]
+    Moving {
+        /// Parent frame.
+        parent: String,
+        /// Child frame.
+        child: String,
+    },
+    /// Scans and poses have different clocks.
+    #[error(
+        "the stamps of {scan_topic} go back {scan_steps} times by more than a second, those of {poses} {steps} times: expected one \
+         clock of both; cut the bag there, or use --no-odometry"
+    )]
+    Clocks {
+        /// Topic of the scans.
+        scan_topic: String,
+        /// Number of steps of their clock.
+        scan_steps: usize,
+        /// What else has stamps.
+        poses: String,
+        /// Number of steps of its clock.
+        steps: usize,
+    },
+}
+
+fn on_topic(wished: &Option<String>) -> String {
+    wished.as_ref().map_or(String::new(), |topic| format!(" on {topic}"))
+}
+
+fn list(names: &[String]) -> String {
+    if names.is_empty() { "none".into() } else { names.join(", ") }
+}

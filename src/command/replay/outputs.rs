@@ -1,0 +1,61 @@
+//! Checks before a replay that its results can be written: mapping takes long.
+
+use super::{ReplayArgs, ReplayError};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// Checks that the requested files can be written, and leaves no file behind.
+pub fn check(args: &ReplayArgs) -> Result<(), ReplayError> {
+    let check =
+        |path: &Path| check_file(path).map_err(|source| ReplayError::Write { path: path.to_owned(), source });
+    if let Some(path) = &args.map {
+        let name = path.with_extension("").file_name().unwrap_or_default().to_string_lossy().into_owned();
+        for extension in ["yaml", "pgm", "png"] {
+            check(&path.with_file_name(format!("{name}.{extension}")))?;
+        }
+    }
+    match &args.trajectory {
+        // The folder is made with its parents.
+        Some(folder) if args.merge.is_some() => {
+            let is_there = |path: &&Path| path.exists() || path.as_os_str().is_empty();
+            let above = folder.ancestors().find(is_there).unwrap_or(folder);
+            check(&above.join("robot1.tum"))?;
+        }
+        Some(path) => check(path)?,
+        None => {}
+    }
+    args.save_session.as_deref().map_or(Ok(()), check)
+}
+
+fn check_file(path: &Path) -> std::io::Result<()> {
+    if path.is_dir() {
+        return Err(std::io::ErrorKind::IsADirectory.into());
+    }
+    // A device or a pipe, whose folder gets no file.
+    if path.exists() && !path.is_file() {
+        return Ok(());
+    }
+    let name = path.file_name().ok_or(std::io::ErrorKind::InvalidInput)?.to_string_lossy();
+    let probe: PathBuf = path.with_file_name(format!(".{name}.{}.check", std::process::id()));
+    File::create_new(&probe)?;
+    std::fs::remove_file(&probe)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_can_be_written_leaves_nothing_behind_and_stays_as_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("poses.tum");
+        check_file(&path).unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        std::fs::write(&path, "old").unwrap();
+        check_file(&path).unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "old");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+        assert!(check_file(&folder.path().join("missing/poses.tum")).is_err());
+        assert!(check_file(folder.path()).is_err());
+    }
+}
