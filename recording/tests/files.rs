@@ -1,76 +1,15 @@
 //! Files of recordings: what was written is read, up to the place where a file is cut off; nothing in a file is trusted.
 
-use msg::{Odometry, Pose2, Scan, Stamp};
+mod messages;
+
+use messages::{SECOND, file, odometry, payload, read, scan, scan_buffer, transform};
+use msg::{Odometry, Pose2, Stamp};
 use proptest::prelude::*;
-use recording::bag::{Bag, BagError, BagOptions, read_bag};
+use recording::bag::{BagError, BagOptions};
 use recording::fleet::{FleetRecording, SensorMessage};
 use recording::{Durability, METADATA, RecordingReader, RecordingWriter};
-use ros_messages::{
-    LaserScan, Message, Odometry as RosOdometry, Pose2D, RobotNames, TfMessage, TransformStamped, encode,
-};
+use ros_messages::{LaserScan, Message, Odometry as RosOdometry, Pose2D, RobotNames, TfMessage};
 use std::collections::BTreeMap;
-
-const SECOND: i64 = 1_000_000_000;
-
-fn scan_buffer() -> Box<Scan> {
-    bytemuck::allocation::zeroed_box()
-}
-
-fn payload(message: &impl Message) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    encode(message, &mut bytes);
-    bytes
-}
-
-fn scan(at: i64) -> LaserScan {
-    LaserScan {
-        stamp: Stamp(at),
-        frame_id: "base_scan".into(),
-        angle_min: -1.0,
-        angle_max: 1.0,
-        angle_increment: 0.01,
-        range_min: 0.1,
-        range_max: 3.5,
-        ranges: vec![1.5; 200],
-        ..LaserScan::default()
-    }
-}
-
-fn odometry(at: i64, x: f64, yaw: f64) -> RosOdometry {
-    RosOdometry {
-        stamp: Stamp(at),
-        frame_id: "odom".into(),
-        child_frame_id: "base_footprint".into(),
-        position: [x, 0.5, 0.0],
-        orientation: [0.0, 0.0, (yaw / 2.0).sin(), (yaw / 2.0).cos()],
-        ..RosOdometry::default()
-    }
-}
-
-fn transform(parent: &str, child: &str, translation: [f64; 3], at: i64) -> TransformStamped {
-    TransformStamped {
-        stamp: Stamp(at),
-        frame_id: parent.into(),
-        child_frame_id: child.into(),
-        translation,
-        rotation: [0.0, 0.0, 0.0, 1.0],
-    }
-}
-
-/// A file with messages of several topics: topic, type, time in nanoseconds, payload.
-fn file(messages: &[(&str, &str, i64, Vec<u8>)]) -> Vec<u8> {
-    let description = BTreeMap::from([("seed".to_owned(), "7".to_owned())]);
-    let mut writer = RecordingWriter::new(&description).unwrap();
-    let mut topics: Vec<&str> = Vec::new();
-    for (topic, message_type, at, payload) in messages {
-        let index = topics.iter().position(|known| known == topic).unwrap_or_else(|| {
-            topics.push(topic);
-            writer.add_topic(topic, message_type, Durability::Volatile).unwrap()
-        });
-        writer.write(index, Stamp(*at), payload).unwrap();
-    }
-    writer.finish().unwrap()
-}
 
 /// A bag of two seconds: a scanner 3 cm behind the base's centre, odometry at 20 Hz as message or as transform.
 fn bag(with_odometry: bool, with_scanner: bool) -> Vec<u8> {
@@ -92,10 +31,6 @@ fn bag(with_odometry: bool, with_scanner: bool) -> Vec<u8> {
         messages.push(("/tf_static", TfMessage::TYPE, 0, payload(&TfMessage { transforms })));
     }
     file(&messages)
-}
-
-fn read(bytes: &[u8], options: &BagOptions) -> Result<Bag, BagError> {
-    read_bag(&mut RecordingReader::new(bytes), options, &mut scan_buffer())
 }
 
 /// Reads all messages of a file, and why it ends early.

@@ -1,7 +1,6 @@
 //! Tool `mr-slam replay --merge`, which maps the logs of several robots and merges them as a live fleet would.
 //!
-//! Scans are used in the order of their stamps. Each robot has its own SLAM, and the fleet's pose graph gets each
-//! submap when it would get it live. One thread: the same logs give the same maps.
+//! Scans are used in the order of their stamps; each robot has its own SLAM. One thread: the same logs give the same maps.
 
 use super::feeder::Feeder;
 use super::records::{Log, LogScan, Records};

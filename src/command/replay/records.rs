@@ -128,9 +128,14 @@ impl Log {
             let LeftOut { malformed, without_odometry, .. } = bag.left_out;
             return Err(ReplayError::NoScanOfBag { path: path.clone(), malformed, without_odometry });
         }
+        Ok(Self::of_bag(bag))
+    }
+
+    /// Returns the log of a recording that was read.
+    pub fn of_bag(bag: Bag) -> Self {
         let truth = bag.scans.iter().filter_map(|scan| Some((scan.stamp, scan.world_from_base?)));
         let world_from_base = truth.collect();
-        Ok(Self::Recording(Box::new(RecordedScans { bag, world_from_base })))
+        Self::Recording(Box::new(RecordedScans { bag, world_from_base }))
     }
 
     /// Returns the scans.

@@ -22,7 +22,8 @@ fn log() -> String {
     log
 }
 
-fn args(log: &Path) -> ReplayArgs {
+/// The options of a replay of one log, with nothing else given.
+pub fn args(log: &Path) -> ReplayArgs {
     ReplayArgs {
         logs: vec![log.to_owned()],
         bag: BagArgs::default(),
@@ -92,6 +93,25 @@ fn a_log_whose_scans_are_all_skipped_says_how_many_it_has() {
     assert_eq!(fed(8).unwrap().summary.scans, 1);
     let message = fed(9).err().unwrap().to_string();
     assert!(message.contains("box.log has 9 scans") && message.contains("--skip"), "{message}");
+}
+
+#[test]
+fn outputs_that_cannot_be_written_are_refused_before_the_log_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let nowhere = Some(folder.path().join("missing/result"));
+    let log = || args(&folder.path().join("missing.log"));
+    for args in [
+        ReplayArgs { map: nowhere.clone(), ..log() },
+        ReplayArgs { trajectory: nowhere.clone(), ..log() },
+        ReplayArgs { save_session: nowhere.clone(), ..log() },
+    ] {
+        let error = run(&args).unwrap_err();
+        assert!(
+            matches!(&error, ReplayError::Write { path, .. } if path.starts_with(folder.path().join("missing"))),
+            "{error}"
+        );
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 
 #[test]
