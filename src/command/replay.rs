@@ -122,7 +122,6 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     // A configuration of another version is no obstacle where another one is given.
     let is_needed = are_recordings && (of_fleet || args.config.is_none());
     let recorded = if is_needed { recorded_fleet::configuration(&args.logs[0])? } else { None };
-    let mount = recorded_mount(args, recorded.as_ref());
     // Robots that were not simulated are replayed like a recording from elsewhere: their stamps are another machine's.
     if let Some(config) = recorded.as_ref().filter(|config| of_fleet && !config.world.is_external()) {
         options::refuse(Replay::Fleet, args)?;
@@ -145,26 +144,19 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
         (log @ [_], None) => log,
         (logs, Some(starts)) if (2..=msg::ROBOTS_MAX).contains(&logs.len()) => {
             options::refuse(Replay::MergedLogs, args)?;
-            return fleet::run(args, starts, (&config, mount), &merging);
+            return fleet::run(args, starts, &config, &merging);
         }
         // The parts of one recording.
         (logs, None) if are_recordings => logs,
         (logs, _) => return Err(ReplayError::Logs(logs.len())),
     };
     let start = Instant::now();
-    let log = Log::read(log, args, mount)?;
+    let log = Log::read(log, args)?;
     let mut replayed = feed(&log, config, args)?;
     let wall_s = start.elapsed().as_secs_f64();
     replayed.summary.wall_s = Some(wall_s);
     replayed.summary.times_real_time = Some(replayed.duration_s / wall_s);
     finish(args, replayed, log.truth())
-}
-
-/// Returns the scanner's pose on the robot by the configuration of a fleet's recording; `None`: it is one from elsewhere.
-fn recorded_mount(args: &ReplayArgs, recorded: Option<&FleetConfig>) -> Option<Pose2> {
-    let read = || recorded_fleet::configuration(args.logs.first().filter(|path| is_recording(path))?).ok()?;
-    let [x_m, y_m, yaw_rad] = recorded.cloned().or_else(read)?.slam.lidar.base_from_scan;
-    Some(Pose2::new(x_m, y_m, yaw_rad))
 }
 
 fn finish(args: &ReplayArgs, replayed: Replayed, truth: &[(Stamp, Pose2)]) -> Result<(), ReplayError> {

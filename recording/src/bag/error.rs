@@ -95,9 +95,9 @@ pub enum BagError {
          one topic; give the scanner's pose with --scanner X,Y,YAW"
     )]
     Moving {
-        /// Parent frame.
+        /// Frame in which the other one moves.
         parent: String,
-        /// Child frame.
+        /// Frame on the way to the scanner.
         child: String,
     },
     /// Scans and poses have different clocks.

@@ -108,11 +108,11 @@ struct Robot<'a> {
 pub fn run(
     args: &ReplayArgs,
     starts: &Starts,
-    (config, mount): (&SlamConfig, Option<Pose2>),
+    config: &SlamConfig,
     merging: &MergeConfig,
 ) -> Result<(), ReplayError> {
     let began = Instant::now();
-    let logs = args.logs.chunks(1).map(|log| Log::read(log, args, mount)).collect::<Result<Vec<_>, _>>()?;
+    let logs = args.logs.chunks(1).map(|log| Log::read(log, args)).collect::<Result<Vec<_>, _>>()?;
     let known = match starts {
         Starts::Known(file) => read_starts(file, logs.len())?,
         Starts::Unknown => vec![None; logs.len()],

@@ -1,7 +1,6 @@
 //! Scans of a log: a CARMEN log, or a recording in MCAP.
 
-use super::log_files;
-use super::{ReplayArgs, ReplayError};
+use super::{ReplayArgs, ReplayError, log_files, recorded_fleet};
 use crate::command::output;
 use formats::carmen::{LaserLine, Reader, Record};
 use formats::gzip;
@@ -99,13 +98,8 @@ impl LogScan {
 }
 
 impl Log {
-    /// Reads a log, unpacked if it is gzip, or the scans of a recording, whose files may be several. `recorded_mount` is the
-    /// scanner's pose on the robot by the recording's own configuration.
-    pub fn read(
-        paths: &[PathBuf],
-        args: &ReplayArgs,
-        recorded_mount: Option<Pose2>,
-    ) -> Result<Self, ReplayError> {
+    /// Reads a log, unpacked if it is gzip, or the scans of a recording, whose files may be several.
+    pub fn read(paths: &[PathBuf], args: &ReplayArgs) -> Result<Self, ReplayError> {
         let path = &paths[0];
         if !is_recording(path) {
             let fail = |source| ReplayError::Read { path: path.clone(), source };
@@ -118,7 +112,7 @@ impl Log {
             odometry_topic: args.bag.odom_topic.clone(),
             odom_frame: args.bag.odom_frame.clone(),
             base_from_scan: args.bag.scanner,
-            recorded_base_from_scan: recorded_mount,
+            recorded_base_from_scan: recorded_mount(path),
             without_odometry: args.no_odometry,
             truth_topic: args.bag.truth_topic.clone(),
         };
@@ -172,6 +166,13 @@ impl Log {
             Self::Recording(scans) => &scans.world_from_base,
         }
     }
+}
+
+/// Returns the scanner's pose on the robot by the configuration of a fleet's recording; `None`: it is one from elsewhere, or of
+/// another version.
+fn recorded_mount(path: &Path) -> Option<Pose2> {
+    let [x_m, y_m, yaw_rad] = recorded_fleet::configuration(path).ok()??.slam.lidar.base_from_scan;
+    Some(Pose2::new(x_m, y_m, yaw_rad))
 }
 
 /// Says what is left out of a recording, and why.
