@@ -133,7 +133,7 @@ test("commands do not wait behind maps", async () => {
   proxy.close();
 });
 
-test("the robot is at rest while the link is gone, and drives on when it is back", async () => {
+test("the robot is at rest while the link is gone, and drives on only when the key is held anew", async () => {
   const { proxy, page } = await openBehind({ delayMs: DELAY_MS });
   await page.keyboard.press("Digit1");
   await page.keyboard.down("KeyS");
@@ -141,11 +141,17 @@ test("the robot is at rest while the link is gone, and drives on when it is back
   await moves();
   // Commands on their way arrive no more either: the proxy holds them.
   const held = Date.now();
-  proxy.hold(1500);
+  proxy.hold(2500);
   await observer.waitForTimeout(1400);
   const moving = await observer.evaluate((from) => globalThis.speeds.filter(([at, v]) => at > from && at < from + 1400 && Math.abs(v) >= 0.01).map(([at]) => at - from), held);
   // The bridge sends zeros 300 ms after the last velocity; then the robot brakes.
   assert.ok(Math.max(0, ...moving) < 700, `it moved for ${Math.max(...moving)} ms`);
+  await waitForText(page, "#link", "no answer");
+  await waitForText(page, "#link", "connected");
+  await waitForText(page, "#hint", "Let go");
+  assert.ok(Math.abs(await observer.evaluate(() => globalThis.speeds.at(-1)[1])) < 0.01);
+  await page.keyboard.up("KeyS");
+  await page.keyboard.down("KeyS");
   await moves();
   await page.keyboard.up("KeyS");
   await observer.waitForFunction(() => Math.abs(globalThis.speeds.at(-1)?.[1]) < 0.01, null, WAIT);

@@ -50,7 +50,7 @@ test("keys drive the selected robot alone, and nobody else drives it then", asyn
   await page.keyboard.down("KeyD");
   await page.waitForFunction(() => document.querySelectorAll(".robot")[1].textContent.includes("Driveryou"), null, WAIT);
   assert.equal(await driverOf(page, 1), "nobody");
-  assert.match(await page.textContent("#velocity"), /-[1-9.]+ rad/);
+  assert.match(await page.textContent("#velocity"), /^-?0.00 m\/s, -0.9 rad\/s$/, "three fifths of the robot's 1.5 rad/s");
   await page.keyboard.up("KeyD");
   await page.waitForFunction(() => document.querySelectorAll(".robot")[1].textContent.includes("Drivernobody"), null, WAIT);
   assert.match(await page.textContent("#velocity"), /^-?0.00 m\/s/);
@@ -142,6 +142,79 @@ test("a key whose release the browser may keep to itself lets go at once", async
     await waitForDriver(page, 1, "^nobody$");
     await page.keyboard.up("KeyA");
   }
+});
+
+/** Robots whose newest velocity from this page is not zero, seen by another page. */
+async function watchCommands() {
+  const { page: observer } = await open();
+  await observer.evaluate(async () => {
+    const { Connection } = await import("./transport.js");
+    globalThis.moving = new Map();
+    const message = (topic, view) => {
+      const twist = [4, 4 + 40].map((at) => view.getFloat64(at, true));
+      globalThis.moving.set(topic, twist.some((value) => value !== 0));
+    };
+    const connection = new Connection(location.origin.replace("http", "ws"), { message });
+    ["/robot1/cmd_vel", "/robot2/cmd_vel"].forEach((topic) => connection.subscribe(topic));
+  });
+  const isMoving = (robot) => observer.evaluate((topic) => globalThis.moving.get(topic) === true, `/robot${robot}/cmd_vel`);
+  const waitForMoving = (robot, wanted) => observer.waitForFunction(([topic, is]) => (globalThis.moving.get(topic) === true) === is, [`/robot${robot}/cmd_vel`, wanted], WAIT);
+  return { observer, isMoving, waitForMoving };
+}
+
+/** Sets the emergency stop and releases it as another client does. */
+async function stopAndRelease(observer, page) {
+  await observer.keyboard.press("Escape");
+  await page.waitForSelector("#release:visible", WAIT);
+  await observer.click("#release");
+  await page.waitForSelector("#release", { state: "hidden", ...WAIT });
+}
+
+test("what is held when the emergency stop is released drives nothing until it is held anew", async () => {
+  const { observer, isMoving, waitForMoving } = await watchCommands();
+  const { page } = await open();
+  await page.keyboard.press("Digit1");
+  const box = await page.locator("#stick").boundingBox();
+  const devices = [
+    [() => page.keyboard.down("KeyA"), () => page.keyboard.up("KeyA")],
+    [async () => {
+      await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+      await page.mouse.down();
+      await page.mouse.move(box.x + 5, box.y + box.height / 2, { steps: 3 });
+    }, () => page.mouse.up()],
+  ];
+  for (const [hold, letGo] of devices) {
+    await hold();
+    await waitForMoving(1, true);
+    await stopAndRelease(observer, page);
+    await waitForText(page, "#hint", "Let go");
+    assert.equal(await isMoving(1), false);
+    await letGo();
+    await hold();
+    await waitForMoving(1, true);
+    await letGo();
+    await waitForMoving(1, false);
+  }
+});
+
+test("a key that is held for one robot does not move another one that is selected meanwhile", async () => {
+  const { isMoving, waitForMoving } = await watchCommands();
+  const { page } = await open();
+  await page.keyboard.press("Digit1");
+  await page.keyboard.down("KeyD");
+  await waitForMoving(1, true);
+  await page.keyboard.press("Digit2");
+  await waitForMoving(1, false);
+  await waitForText(page, "#hint", "Let go");
+  // As a key that is held does.
+  await page.keyboard.down("KeyD");
+  await page.waitForTimeout(300);
+  assert.equal(await isMoving(2), false);
+  await page.keyboard.up("KeyD");
+  await page.keyboard.down("KeyD");
+  await waitForMoving(2, true);
+  await page.keyboard.up("KeyD");
+  await waitForMoving(2, false);
 });
 
 test("when another run begins, what it had latched is asked for again", async () => {

@@ -1,14 +1,15 @@
 // The operator's page: connections, controls and panels around one fleet.
 
 import { GoalTool, hasGoal, headingOf } from "./goals.js";
-import { Driver, gamepadDeflection, isDriveKey, keyDeflection, stickDeflection } from "./input.js";
+import { Driving, attachStick } from "./driving.js";
+import { isDriveKey } from "./input.js";
 import { EdgePanel, writeEdgeCommand } from "./edges.js";
 import { describeExploration, isExploring } from "./exploration.js";
 import { MapCursor } from "./map_cursor.js";
 import { MapTools } from "./map_tools.js";
 import { MeasureTool } from "./measure.js";
 import { ZoneTool } from "./zones.js";
-import { readGrid, writeBool, writeEmpty, writeInt, writeTwist } from "./messages.js";
+import { readGrid, writeBool, writeEmpty, writeInt } from "./messages.js";
 import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } from "./panels.js";
 import { attachPointers } from "./pointers.js";
 import { RobotMaps } from "./seen.js";
@@ -35,7 +36,6 @@ const ERROR = 2;
 const now = () => performance.now() / 1000;
 const fleet = new Fleet();
 const view = new View(/** @type {HTMLCanvasElement} */ (element("view")));
-const driver = new Driver();
 /** @type {number | null} */
 let selected = null;
 let panelsDue = 0;
@@ -53,6 +53,7 @@ const live = new Connection(url, {
   state: (isOpen) => {
     if (isOpen) fleet.clock.reset();
     if (isOpen) emergencyStop.repeat();
+    driving.observe();
     showLink();
   },
   time: (askedAt, answeredAt, runTime) => {
@@ -67,6 +68,7 @@ const live = new Connection(url, {
   parameter: (name, value) => {
     if (name !== FLEET_PARAMETER) return;
     for (const robot of fleet.setFigures(value, now())) addRobot(robot);
+    driving.observe();
   },
 });
 live.subscribeParameters();
@@ -152,6 +154,7 @@ function addRobot(robot) {
 function select(number) {
   if (number !== null && !fleet.robots.has(number)) return;
   selected = number;
+  driving.observe();
   if (view.followed !== null) view.followed = number;
   const robot = number === null ? null : fleet.robots.get(number);
   const target = element("target");
@@ -176,6 +179,7 @@ const emergencyStop = new EmergencyStop(() => live.publish("/emergency_stop", "s
 function stop() {
   if (fleet.figures.is_replay === true) return;
   emergencyStop.ask(now());
+  driving.observe();
   // One that is set already is not told again.
   if (fleet.isStopped === true && isAnswering()) emergencyStop.confirm(now());
 }
@@ -185,6 +189,7 @@ function showStop() {
   element("stop").classList.toggle("set", isStopped);
   element("release").hidden = !isStopped;
   if (isStopped) emergencyStop.confirm(now());
+  driving.observe();
 }
 
 element("stop").addEventListener("click", stop);
@@ -197,59 +202,35 @@ element("release").addEventListener("click", release);
 
 // --- Driving ---
 
-/** @type {Set<string>} */
-const held = new Set();
-/** @type {import("./input.js").Deflection | null} */
-let stick = null;
+const driving = new Driving({
+  fleet,
+  selected: () => selected,
+  situation,
+  headset: () => reality.drive(),
+  publish: (topic, type, payload) => live.publish(topic, type, payload),
+});
+const releaseStick = attachStick(element("stick"), element("knob"), driving);
+
+/** Returns what driving by hand depends on. @returns {import("./dead_man.js").Situation} */
+function situation() {
+  const robot = selected === null ? null : fleet.robots.get(selected);
+  return {
+    isStopped: fleet.isStopped === true || emergencyStop.isAsked || fleet.figures.is_replay === true,
+    isConnected: isAnswering(),
+    robot: robot ? `${fleet.runs} ${robot.number}` : null,
+    driver: !robot?.figures.driver ? null : robot.figures.is_mine ? "me" : "other",
+  };
+}
 
 function releaseAll() {
-  held.clear();
+  driving.releaseKeys();
   releaseStick();
 }
 
-function releaseStick() {
-  stick = null;
-  element("stick").classList.remove("held");
-  element("knob").style.transform = "";
-}
-
 setInterval(() => {
-  const gamepad = document.hasFocus() ? [...navigator.getGamepads()].find((pad) => pad !== null) ?? null : null;
-  const isStopped = fleet.isStopped === true;
-  const deflection = isStopped || fleet.figures.is_replay === true ? null : reality.drive() ?? stick ?? keyDeflection(held) ?? gamepadDeflection(gamepad);
-  let shown = { linear: 0, angular: 0 };
-  for (const { robot: number, forward, left } of driver.tick(deflection, selected)) {
-    const robot = fleet.robots.get(number);
-    if (!robot) continue;
-    const { linear_max_m_s: linearMax = 0, angular_max_rad_s: angularMax = 0 } = robot.figures;
-    const [linear, angular] = [forward * linearMax, left * angularMax];
-    live.publish(`${robot.prefix}cmd_vel`, "geometry_msgs/msg/Twist", writeTwist(linear, angular));
-    if (number === selected) shown = { linear, angular };
-  }
-  setText(element("velocity"), isStopped ? "emergency stop" : `${shown.linear.toFixed(2)} m/s, ${shown.angular.toFixed(1)} rad/s`);
+  const { linear, angular } = driving.tick();
+  setText(element("velocity"), fleet.isStopped === true ? "emergency stop" : `${linear.toFixed(2)} m/s, ${angular.toFixed(1)} rad/s`);
 }, COMMAND_MS);
-
-const stickElement = element("stick");
-stickElement.addEventListener("pointerdown", (event) => {
-  stickElement.setPointerCapture(event.pointerId);
-  moveStick(event);
-});
-stickElement.addEventListener("pointermove", (event) => {
-  if (stickElement.hasPointerCapture(event.pointerId)) moveStick(event);
-});
-["pointerup", "pointercancel", "lostpointercapture"].forEach((name) => stickElement.addEventListener(name, releaseStick));
-
-/** @param {PointerEvent} event */
-function moveStick(event) {
-  const box = stickElement.getBoundingClientRect();
-  const radius = box.width / 2;
-  let [x, y] = [(event.clientX - box.left - radius) / radius, (event.clientY - box.top - radius) / radius];
-  const length = Math.hypot(x, y);
-  if (length > 1) [x, y] = [x / length, y / length];
-  stick = stickDeflection(x, y);
-  stickElement.classList.add("held");
-  element("knob").style.transform = `translate(${x * radius * 0.62}px, ${y * radius * 0.62}px)`;
-}
 
 function takeOver() {
   if (selected !== null) send("/take_control", "std_msgs/msg/Int32", writeInt(selected));
@@ -285,7 +266,7 @@ function showTool(name, tool, isOn) {
   cursor.hide();
   if (isOn) {
     tools.switchOffAllBut(tool);
-    held.clear();
+    driving.releaseKeys();
     view.canvas.focus({ preventScroll: true });
   }
   view.canvas.classList.toggle("drawing", tools.isOn);
@@ -354,7 +335,7 @@ window.addEventListener("keydown", (event) => {
   }
   // With one of these keys, or a menu, a browser may keep the release of another key to itself.
   if (event.ctrlKey || event.metaKey || event.altKey) {
-    held.clear();
+    driving.releaseKeys();
     return;
   }
   if (document.activeElement === view.canvas && cursor.key(event.code, event.shiftKey, event.repeat)) {
@@ -363,7 +344,7 @@ window.addEventListener("keydown", (event) => {
   }
   const digit = /^(?:Digit|Numpad)([1-9])$/.exec(event.code);
   if (isDriveKey(event.code) || event.code.startsWith("Shift")) {
-    held.add(event.code);
+    driving.press(event.code, event.repeat);
     if (isDriveKey(event.code)) event.preventDefault();
   } else if (event.repeat) {
     return;
@@ -374,7 +355,7 @@ window.addEventListener("keydown", (event) => {
     KEYS[event.code]();
   }
 });
-window.addEventListener("keyup", (event) => held.delete(event.code));
+window.addEventListener("keyup", (event) => driving.release(event.code));
 window.addEventListener("blur", releaseAll);
 window.addEventListener("contextmenu", releaseAll);
 document.addEventListener("visibilitychange", () => { if (document.hidden) releaseAll(); });
@@ -448,8 +429,9 @@ function showHint() {
   else if (!isAnswering()) text = "The bridge does not answer: you drive nothing, robots with goals drive on. What is shown is old.";
   else if (emergencyStop.isUnconfirmed(now())) text = "The emergency stop is not confirmed. It is sent again whenever the connection comes back.";
   else if (fleet.isStopped) text = "Emergency stop is set. Release it at the top to drive on.";
-  else if (selected === null && fleet.robots.size > 1 && driver.driven === null && (stick || held.size > 0)) text = "Select a robot first.";
-  else if (robot?.figures.driver && !robot.figures.is_mine && (stick || [...held].some(isDriveKey))) text = `${robot.figures.driver} drives this robot. Press T to take it over.`;
+  else if (selected === null && fleet.robots.size > 1 && driving.driver.driven === null && driving.isHeld) text = "Select a robot first.";
+  else if (robot?.figures.driver && !robot.figures.is_mine && driving.isHeld) text = `${robot.figures.driver} drives this robot. Press T to take it over.`;
+  else if (driving.isWaiting) text = "Let go of the key, the stick or the grip, and hold it again to drive.";
   else text = cursor.describe();
   hint.hidden = text === "";
   setText(hint, text);

@@ -32,6 +32,9 @@ export class EmergencyStop {
   /** The operator releases the stop, whoever set it. */
   forget() { this.askedAt = null; }
 
+  /** Whether it was asked for here, and is neither confirmed nor released. */
+  get isAsked() { return this.askedAt !== null; }
+
   /** Whether the stop should have been confirmed, and is not. @param {number} now seconds */
   isUnconfirmed(now) { return this.askedAt !== null && now - this.askedAt > CONFIRM_S; }
 }

@@ -30,6 +30,8 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("cdr.js", SCRIPT),
     file!("clock.js", SCRIPT),
     file!("coordinates.js", SCRIPT),
+    file!("dead_man.js", SCRIPT),
+    file!("driving.js", SCRIPT),
     file!("edges.js", SCRIPT),
     file!("exploration.js", SCRIPT),
     file!("geometry.js", SCRIPT),

@@ -1,0 +1,122 @@
+// Driving by hand: what the operator holds, and the velocities that are sent for it.
+
+import { DeadMan } from "./dead_man.js";
+import { Driver, gamepadDeflection, isDriveKey, keyDeflection, stickDeflection } from "./input.js";
+import { writeTwist } from "./messages.js";
+
+/** @typedef {import("./dead_man.js").Situation} Situation */
+/** @typedef {import("./input.js").Deflection} Deflection */
+
+/** The knob of the stick moves so far, in radii of the stick. */
+const KNOB_SHARE = 0.62;
+
+/** What driving needs of the page. @typedef {object} Surroundings
+ * @property {import("./state.js").Fleet} fleet
+ * @property {() => number | null} selected number of the selected robot
+ * @property {() => Situation} situation
+ * @property {() => Deflection | null} headset what the headset's controllers say
+ * @property {(topic: string, type: string, payload: Uint8Array) => boolean} publish returns whether it was sent
+ */
+
+/** The keys, the stick, the gamepad and the headset of this page, and the robot that they drive. */
+export class Driving {
+  /** @param {Surroundings} of */
+  constructor(of) {
+    this.of = of;
+    this.deadMan = new DeadMan();
+    this.driver = new Driver();
+    /** Codes of the keys that are held. @type {Set<string>} */
+    this.keys = new Set();
+    /** @type {Deflection | null} */
+    this.stick = null;
+  }
+
+  /** Returns what each device says now. @returns {import("./dead_man.js").Deflections} */
+  deflections() {
+    const gamepad = document.hasFocus() ? [...navigator.getGamepads()].find((pad) => pad !== null) ?? null : null;
+    return { headset: this.of.headset(), stick: this.stick, keys: keyDeflection(this.keys), gamepad: gamepadDeflection(gamepad) };
+  }
+
+  /** Whether the operator holds a key or the stick to drive. */
+  get isHeld() { return this.stick !== null || [...this.keys].some(isDriveKey); }
+
+  /** Whether something is held that drives only after it was let go. */
+  get isWaiting() { return this.deadMan.isWaiting(this.deflections()); }
+
+  /** Looks at the situation and the devices. Call it at each change of either. */
+  observe() { this.deadMan.observe(this.of.situation(), this.deflections()); }
+
+  /** Sends the velocities that are due. Returns that of the selected robot as it was sent, m/s and rad/s. */
+  tick() {
+    const [{ fleet, selected, publish }, deflections] = [this.of, this.deflections()];
+    this.deadMan.observe(this.of.situation(), deflections);
+    let sent = { linear: 0, angular: 0 };
+    for (const { robot: number, forward, left } of this.driver.tick(this.deadMan.pass(deflections), selected())) {
+      const robot = fleet.robots.get(number);
+      if (!robot) continue;
+      const { linear_max_m_s: linearMax = 0, angular_max_rad_s: angularMax = 0 } = robot.figures;
+      const [linear, angular] = [forward * linearMax, left * angularMax];
+      const isSent = publish(`${robot.prefix}cmd_vel`, "geometry_msgs/msg/Twist", writeTwist(linear, angular));
+      if (isSent && number === selected()) sent = { linear, angular };
+    }
+    return sent;
+  }
+
+  /** Takes a key that is pressed. One that repeats was pressed before. @param {string} code @param {boolean} isRepeat */
+  press(code, isRepeat) {
+    if (!isRepeat) this.keys.add(code);
+  }
+
+  release(/** @type {string} */ code) {
+    this.keys.delete(code);
+    this.observe();
+  }
+
+  releaseKeys() {
+    this.keys.clear();
+    this.observe();
+  }
+
+  setStick(/** @type {Deflection | null} */ deflection) {
+    this.stick = deflection;
+    this.observe();
+  }
+}
+
+/** Lets the stick on the screen drive. Returns what releases it. @param {HTMLElement} stick @param {HTMLElement} knob @param {Driving} driving */
+export function attachStick(stick, knob, driving) {
+  /** The pointer that holds it. @type {number | null} */
+  let holder = null;
+  const release = () => {
+    holder = null;
+    driving.setStick(null);
+    stick.classList.remove("held");
+    knob.style.transform = "";
+  };
+  const move = (/** @type {PointerEvent} */ event) => {
+    const box = stick.getBoundingClientRect();
+    const radius = box.width / 2;
+    let [x, y] = [(event.clientX - box.left - radius) / radius, (event.clientY - box.top - radius) / radius];
+    const length = Math.hypot(x, y);
+    if (length > 1) [x, y] = [x / length, y / length];
+    driving.setStick(stickDeflection(x, y));
+    stick.classList.add("held");
+    knob.style.transform = `translate(${x * radius * KNOB_SHARE}px, ${y * radius * KNOB_SHARE}px)`;
+  };
+  stick.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0 || holder !== null) return;
+    holder = event.pointerId;
+    stick.setPointerCapture(event.pointerId);
+    move(event);
+  });
+  stick.addEventListener("pointermove", (event) => {
+    if (event.pointerId !== holder) return;
+    // While another button is held, the end of the primary one comes as a movement.
+    if (event.buttons & 1) move(event);
+    else release();
+  });
+  ["pointerup", "pointercancel", "lostpointercapture"].forEach((name) => stick.addEventListener(name, (event) => {
+    if (/** @type {PointerEvent} */ (event).pointerId === holder) release();
+  }));
+  return release;
+}
