@@ -38,4 +38,6 @@ pub struct PageContent {
     pub save_room: Option<SaveRoom>,
     /// Saves the answers to the form of workload; without it they are refused.
     pub save_tlx: Option<SaveTlx>,
+    /// Identity of the fleet's run, by which a page knows that another run has begun.
+    pub run_id: String,
 }

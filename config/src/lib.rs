@@ -286,7 +286,13 @@ impl FleetConfig {
             rad_per_rad: odometry.sigma_rad_per_rad,
             rad_per_m: odometry.sigma_rad_per_m,
         };
-        bridge::BridgeConfig { odometry_sigmas, ..self.bridge.clone() }
+        let mut config = bridge::BridgeConfig { odometry_sigmas, ..self.bridge.clone() };
+        if self.world == RobotSource::Simulator {
+            // What the simulator would clamp, nobody is told to be the robot's velocity.
+            let sim::Limits { linear_m_s, angular_rad_s, .. } = self.sim.limits;
+            config.velocity.cap(linear_m_s, angular_rad_s);
+        }
+        config
     }
 
     /// Returns the robots' names in ROS, of a configuration that was checked.

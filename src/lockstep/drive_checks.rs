@@ -54,7 +54,8 @@ pub struct DriveChecks {
 impl DriveChecks {
     /// Creates the checks of a robot that was not commanded yet.
     pub fn new(config: &FleetConfig, robot: RobotId) -> Self {
-        let (limits, lease) = (RobotLimits::new(&config.bridge.velocity, robot), config.bridge.lease());
+        let velocity = config.bridge_config().velocity;
+        let (limits, lease) = (RobotLimits::new(&velocity, robot), config.bridge.lease());
         Self { robot, limits, lease, driver: None, left: None, moving: false, stopped: false, unsaved: false }
     }
 

@@ -177,3 +177,18 @@ fn a_value_out_of_range_is_named_with_its_line_its_key_and_what_is_expected() {
         assert!(error.starts_with(words), "{error}; expected {words}");
     }
 }
+
+#[test]
+fn the_bridge_has_the_limits_of_simulated_robots_and_its_own_for_others() {
+    let text = "[bridge.velocity]\nlinear_m_s = 0.1\nrobots = [{ robot = 2, linear_m_s = 0.2, angular_rad_s = 0.5 }]\n";
+    let folder = Folder::new();
+    let config = FleetConfig::from_file(&folder.file("fleet.toml", text)).unwrap();
+    let limits = |config: &FleetConfig| {
+        let velocity = config.bridge_config().velocity;
+        let second = &velocity.robots[0];
+        [velocity.linear_m_s, velocity.angular_rad_s, second.linear_m_s, second.angular_rad_s]
+    };
+    assert_eq!(limits(&config), [0.1, 1.5, 0.15, 0.5]);
+    let outside = FleetConfig { world: mr_slam::config::RobotSource::Ros, ..config };
+    assert_eq!(limits(&outside), [0.1, 2.84, 0.2, 0.5]);
+}

@@ -66,6 +66,18 @@ impl VelocityConfig {
         Ok(())
     }
 
+    /// Lowers the limits of all robots to those that the robots have themselves.
+    pub fn cap(&mut self, linear_m_s: f64, angular_rad_s: f64) {
+        let lower = |linear: &mut f64, angular: &mut f64| {
+            *linear = linear.min(linear_m_s);
+            *angular = angular.min(angular_rad_s);
+        };
+        lower(&mut self.linear_m_s, &mut self.angular_rad_s);
+        for robot in &mut self.robots {
+            lower(&mut robot.linear_m_s, &mut robot.angular_rad_s);
+        }
+    }
+
     /// Returns [`Self::timeout_s`] as a duration.
     pub fn timeout(&self) -> Duration {
         Duration::from_secs_f64(self.timeout_s)

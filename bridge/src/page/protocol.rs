@@ -112,6 +112,8 @@ pub enum ServerCommand<'a> {
         supported_encodings: &'a [&'a str],
         /// Number of this bridge process: another one after a restart.
         session_id: &'a str,
+        /// What else clients may want to know of the server.
+        metadata: Metadata<'a>,
     },
     /// Topics that clients may subscribe to.
     Advertise {
@@ -160,6 +162,13 @@ pub enum ServerCommand<'a> {
         /// Text for a person.
         message: &'a str,
     },
+}
+
+/// What [`ServerCommand::ServerInfo`] says beside the protocol's own fields.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Metadata<'a> {
+    /// Identity of the fleet's run: the same after a restart of the bridge, another one in the next run.
+    pub run: &'a str,
 }
 
 /// A parameter with its value.

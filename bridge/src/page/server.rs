@@ -3,7 +3,7 @@
 use super::PageContent;
 use super::encoder::Encoder;
 use super::http::{HEAD_BYTES_MAX, PageFile, Request, file_response, parse_request, text_response};
-use super::protocol::{ENCODING, ServerCommand, selfcheck_text};
+use super::protocol::{ENCODING, Metadata, ServerCommand, selfcheck_text};
 use super::room::RoomReceiver;
 use super::session::{ClientData, OwnedFrame, Session};
 use super::socket::{MessageReader, PageSocket};
@@ -63,6 +63,7 @@ pub(super) struct Shared {
     origins: Vec<String>,
     clock: fn() -> Monotonic,
     session_id: String,
+    run_id: String,
 }
 
 impl Shared {
@@ -73,6 +74,7 @@ impl Shared {
             capabilities: &CAPABILITIES,
             supported_encodings: &[ENCODING],
             session_id: &self.session_id,
+            metadata: Metadata { run: &self.run_id },
         }
     }
 }
@@ -90,10 +92,19 @@ pub async fn serve_page(
     stop: impl Future<Output = ()>,
 ) {
     let (origins, session_id) = (config.origins.clone(), session_id());
-    let PageContent { files, save_room, save_tlx } = content;
+    let PageContent { files, save_room, save_tlx, run_id } = content;
     let rooms = RoomReceiver::new(save_room);
-    let shared =
-        Rc::new(Shared { bridge: bridge.clone(), files, rooms, save_tlx, origins, clock, session_id });
+    let bridge_of_pages = bridge.clone();
+    let shared = Rc::new(Shared {
+        bridge: bridge_of_pages,
+        files,
+        rooms,
+        save_tlx,
+        origins,
+        clock,
+        session_id,
+        run_id,
+    });
     let serve = |stream, peer| {
         let (shared, encryption) = (shared.clone(), encryption.clone());
         async move {

@@ -40,6 +40,7 @@ fn the_server_says_who_it_is_and_what_it_has() {
         browser.info["capabilities"],
         serde_json::json!(["clientPublish", "parameters", "parametersSubscribe", "services"])
     );
+    assert_eq!(browser.info["metadata"], serde_json::json!({ "run": "7-42" }));
     assert_eq!(browser.channels["/robot1/scan"].1, "sensor_msgs/msg/LaserScan");
     assert_eq!(browser.channels["/merged_map"].1, "nav_msgs/msg/OccupancyGrid");
     assert!(browser.channels.contains_key("/tf") && browser.channels.contains_key("/cmd_vel_2"));

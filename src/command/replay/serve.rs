@@ -101,7 +101,8 @@ pub fn run(
             note(&format!("page: {url}"));
             let config = config.bridge.page.clone();
             let listeners = bridge::PageListeners::open(&config);
-            spawn_local(page::serve(bridge.clone(), config, None, None, listeners));
+            let run_id = page::run_id(std::process::id(), now());
+            spawn_local(page::serve(bridge.clone(), config, run_id, None, None, listeners));
         }
         let clients = spawn_local(bridge::serve(bridge.clone(), listener, now, std::future::pending()));
         play(&mut player, services, &bridge, stop).await;

@@ -48,7 +48,8 @@ async fn serve(
     if run.config.bridge.page.enabled {
         let room = offered_room::file(run);
         let (config, save_tlx) = (run.config.bridge.page.clone(), nasa_tlx::saver(run));
-        let page = page::serve(bridge.clone(), config, Some(room), Some(save_tlx), listeners);
+        let run_id = page::run_id(run.pid, run.begun);
+        let page = page::serve(bridge.clone(), config, run_id, Some(room), Some(save_tlx), listeners);
         tasks.push(spawn_local(page));
     }
     tasks.push(spawn_local(control::serve(control::listen(run)?, periodic_tasks.control.clone())));

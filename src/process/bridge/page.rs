@@ -4,6 +4,7 @@ use crate::certificate;
 use crate::clock::now;
 use crate::page_files::PAGE_FILES;
 use ::bridge::{Bridge, PageConfig, PageContent, PageListeners, SaveRoom, SaveTlx, TlsAcceptor, serve_page};
+use msg::Monotonic;
 use std::io::{self, Write as _};
 use std::net::TcpListener as StdListener;
 use std::path::PathBuf;
@@ -14,18 +15,24 @@ use tokio::net::TcpListener;
 /// Pause after the port could not be opened: another process may hold it for a while.
 const BIND_PAUSE: Duration = Duration::from_secs(1);
 
+/// Returns the identity of a run, which no other run has: of its launcher, not of the bridge, which may start again.
+pub fn run_id(launcher_pid: u32, begun: Monotonic) -> String {
+    format!("{launcher_pid}-{}", begun.0)
+}
+
 /// Serves the page in clear and encrypted until the task is ended. A port of `PageListeners` that is not open yet is tried again.
 ///
 /// Rooms that browsers offer are saved in `room_file`; without one they are refused. `save_tlx` saves answers about workload,
-/// likewise.
+/// likewise. Pages begin anew when `run_id` changes.
 pub async fn serve(
     bridge: Rc<Bridge>,
     config: PageConfig,
+    run_id: String,
     room_file: Option<PathBuf>,
     save_tlx: Option<SaveTlx>,
     PageListeners { plain, encrypted }: PageListeners,
 ) {
-    let content = PageContent { files: PAGE_FILES, save_room: room_file.map(save_room), save_tlx };
+    let content = PageContent { files: PAGE_FILES, save_room: room_file.map(save_room), save_tlx, run_id };
     let plain = serve_on(bridge.clone(), &config, content.clone(), plain, None);
     let encrypted = async {
         if !config.https.enabled {
