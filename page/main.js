@@ -32,6 +32,8 @@ const SILENT_MS = 1500;
 const FLEET_PARAMETER = "/mr_slam/fleet";
 /** The level of a status that says that something was refused. */
 const ERROR = 2;
+/** What the page wants to know of each robot, below its prefix. */
+const ROBOT_TOPICS = ["odom", "scan", "pose", "plan", "navigation_state"];
 
 const now = () => performance.now() / 1000;
 const fleet = new Fleet();
@@ -49,7 +51,8 @@ const url = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}
 
 /** Commands, transforms, scans and states: nothing large, so that nothing waits. */
 const live = new Connection(url, {
-  message: receive,
+  message: (topic, data) => { if (live.run === fleet.run) receive(topic, data); },
+  run: setRun,
   state: (isOpen) => {
     if (isOpen) fleet.clock.reset();
     if (isOpen) emergencyStop.repeat();
@@ -57,17 +60,17 @@ const live = new Connection(url, {
     showLink();
   },
   time: (askedAt, answeredAt, runTime) => {
-    if (!fleet.setRunTime(askedAt / 1000, answeredAt / 1000, runTime)) return;
-    robotMaps.clear();
+    if (live.run !== fleet.run || !fleet.setRunTime(askedAt / 1000, answeredAt / 1000, runTime)) return;
     // What this run had latched came before its time: it is asked for again.
     live.renew();
-    followMap();
-    logMessage("the fleet has started again");
+    beginRun();
   },
   status: (level, text) => (level === ERROR ? warn(text) : logMessage(text)),
   parameter: (name, value) => {
-    if (name !== FLEET_PARAMETER) return;
-    for (const robot of fleet.setFigures(value, now())) addRobot(robot);
+    if (name !== FLEET_PARAMETER || live.run !== fleet.run) return;
+    const { added, gone } = fleet.setFigures(value, now());
+    gone.forEach(removeRobot);
+    added.forEach(addRobot);
     driving.observe();
   },
 });
@@ -76,7 +79,10 @@ live.subscribeParameters();
 
 /** Maps have a connection of their own: they delay neither commands nor transforms. */
 const maps = new Connection(url, {
+  run: setRun,
   message: (topic, data) => {
+    // A run that has ended says nothing more.
+    if (maps.run !== fleet.run) return;
     if (robotMaps.receive(topic, () => readGrid(data), now())) fleet.seen = robotMaps.layer(fleet);
     else receive(topic, data);
     followMap();
@@ -88,6 +94,26 @@ const maps = new Connection(url, {
 });
 maps.subscribe("/merged_map_tiles");
 const robotMaps = new RobotMaps(maps);
+
+/** Takes the run's identity, and forgets the run before if it is another one. @param {string} run */
+function setRun(run) {
+  const gone = fleet.setRun(run);
+  if (!gone) return;
+  gone.forEach(removeRobot);
+  beginRun();
+}
+
+/** Shows nothing of the run before. */
+function beginRun() {
+  robotMaps.clear();
+  attention.clear();
+  tools.cancel();
+  measure.line = null;
+  panelsDue = 0;
+  followMap();
+  showStop();
+  logMessage("the fleet has started again");
+}
 
 /** Asks for the whole map while it is needed; then its tiles are enough. */
 function followMap() {
@@ -145,9 +171,18 @@ function showRefusal() {
 /** @param {import("./state.js").Robot} robot */
 function addRobot(robot) {
   panels.add(robot);
-  for (const topic of ["odom", "scan", "pose", "plan", "navigation_state"]) live.subscribe(robot.prefix + topic);
+  for (const topic of ROBOT_TOPICS) live.subscribe(robot.prefix + topic);
   // One robot needs no choice; of several the operator chooses.
   if (fleet.robots.size === 1) select(robot.number);
+}
+
+/** Shows nothing more of a robot that the fleet no longer has. @param {import("./state.js").Robot} robot */
+function removeRobot(robot) {
+  panels.remove(robot);
+  for (const topic of ROBOT_TOPICS) live.unsubscribe(robot.prefix + topic);
+  robotMaps.forget(robot.number);
+  if (selected === robot.number) select(null);
+  showTools();
 }
 
 /** @param {number | null} number */

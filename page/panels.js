@@ -69,7 +69,7 @@ export class RobotPanels {
   /** @param {(number: number) => void} onSelect */
   constructor(onSelect) {
     this.onSelect = onSelect;
-    /** @type {Map<number, {button: HTMLElement, state: HTMLElement, values: HTMLElement[], rows: HTMLElement}>} */
+    /** @type {Map<number, {item: HTMLElement, button: HTMLElement, state: HTMLElement, values: HTMLElement[], rows: HTMLElement}>} */
     this.panels = new Map();
   }
 
@@ -90,8 +90,15 @@ export class RobotPanels {
     button.addEventListener("click", () => this.onSelect(robot.number));
     const item = create("li");
     item.append(button);
-    element("robots").append(item);
-    this.panels.set(robot.number, { button, state, values, rows });
+    const next = Math.min(...[...this.panels.keys()].filter((number) => number > robot.number));
+    element("robots").insertBefore(item, this.panels.get(next)?.item ?? null);
+    this.panels.set(robot.number, { item, button, state, values, rows });
+  }
+
+  /** Removes the panel of a robot that the fleet no longer has. @param {Robot} robot */
+  remove({ number }) {
+    this.panels.get(number)?.item.remove();
+    this.panels.delete(number);
   }
 
   /** @param {Fleet} fleet @param {number | null} selected @param {number} now */
@@ -200,6 +207,12 @@ export class AttentionList {
     this.shown = "";
     /** Items that the operator has acknowledged; an item that ends and comes again is shown again. @type {Set<string>} */
     this.acknowledged = new Set();
+  }
+
+  /** Begins anew with another run: nothing of it was acknowledged. */
+  clear() {
+    this.shown = "";
+    this.acknowledged.clear();
   }
 
   /** @param {ReturnType<Fleet["attention"]>} items @param {Fleet} fleet */

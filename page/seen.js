@@ -71,10 +71,19 @@ export class RobotMaps {
     this.asked = null;
   }
 
+  /** Forgets the map of a robot that the fleet no longer has. @param {number} robot */
+  forget(robot) {
+    if (this.asked?.robot === robot) this.end();
+    this.grids.delete(robot);
+    this.cameAt.delete(robot);
+    this.version += 1;
+  }
+
   /** Forgets all maps: the run is another one. */
   clear() {
     this.end();
     this.grids.clear();
+    this.cameAt.clear();
     this.version += 1;
   }
 

@@ -112,6 +112,8 @@ export class Fleet {
     this.seen = null;
     /** Counts the runs: another one begins when the fleet starts again in another room. */
     this.runs = 1;
+    /** Identity of the run, as the bridge says it; null before it has. @type {string | null} */
+    this.run = null;
     /** The run's time when the bridge was asked last, seconds. */
     this.runTime = 0;
     /** How the robots' maps lie to each other. @type {import("./edges.js").Edge[]} */
@@ -148,9 +150,25 @@ export class Fleet {
     return isAnother;
   }
 
+  /**
+   * Takes the run's identity from the bridge. Returns the robots of the run that has ended, if this is another one; null otherwise.
+   * @param {string} run @returns {Robot[] | null}
+   */
+  setRun(run) {
+    const isAnother = this.run !== null && run !== this.run;
+    this.run = run;
+    if (!isAnother) return null;
+    this.restart();
+    const gone = [...this.robots.values()];
+    this.robots.clear();
+    Object.assign(this, { figures: {}, isStopped: null, zoneRefusal: null });
+    return gone;
+  }
+
   /** Forgets what belongs to the run that has ended. */
   restart() {
     this.runs += 1;
+    this.runTime = 0;
     this.clock.reset();
     this.frames = new FrameTree();
     this.merged.clear();
@@ -161,9 +179,14 @@ export class Fleet {
     }
   }
 
-  /** Takes the state of the fleet as the bridge tells it; returns the robots that are new. */
+  /** Takes the state of the fleet as the bridge tells it; returns the robots that are new, and those that the fleet no longer has. */
   setFigures(/** @type {any} */ figures, /** @type {number} */ now) {
     this.figures = figures;
+    /** @type {Map<number, string>} */
+    const prefixes = new Map(figures.robots.map((/** @type {any} */ { number, prefix }) => [number, prefix]));
+    // One of another name is another robot.
+    const gone = [...this.robots.values()].filter(({ number, prefix }) => prefixes.get(number) !== prefix);
+    gone.forEach(({ number }) => this.robots.delete(number));
     const added = [];
     for (const row of figures.robots) {
       let robot = this.robots.get(row.number);
@@ -179,7 +202,7 @@ export class Fleet {
       this.area.push({ at: now, m2: figures.merged_known_m2 });
       if (this.area.length > AREA_MAX) this.area.shift();
     }
-    return added;
+    return { added, gone };
   }
 
   /** Takes a message. Throws a RangeError if it is not one of its type. */

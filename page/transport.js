@@ -25,6 +25,7 @@ const WAITING_MAX = 4096;
  * @property {(topic: string, view: DataView) => void} message a message on a topic that was subscribed to
  * @property {(channels: {topic: string, schemaName: string}[]) => void} [topics] all topics, after a change
  * @property {(isOpen: boolean) => void} [state] the connection is there, or is not
+ * @property {(run: string) => void} [run] the bridge has said on this connection to which run of the fleet it belongs, before all else
  * @property {(level: number, text: string) => void} [status] a text for the operator
  * @property {(name: string, value: any) => void} [parameter] a parameter has changed
  * @property {(askedAt: number, answeredAt: number, runTime: number) => void} [time] the run's time, s, between two times of the page, ms
@@ -41,13 +42,15 @@ export class Connection {
     this.subscriptions = new Map();
     /** Topics by the numbers of their subscriptions. @type {Map<number, string>} */
     this.topics = new Map();
-    /** @type {Map<string, {id: number, schemaName: string}>} */
+    /** What is published; told to the bridge with the first message on each connection. @type {Map<string, {id: number, schemaName: string, isSent: boolean}>} */
     this.publications = new Map();
     /** @type {Map<number, {topic: string, schemaName: string}>} */
     this.channels = new Map();
     this.wantsParameters = false;
     this.nextId = 1;
     this.isOpen = false;
+    /** Identity of the fleet's run; null until the bridge has said it on this connection, empty if it does not say it. @type {string | null} */
+    this.run = null;
     /** The pause before the next attempt to connect, ms. */
     this.pauseMs = RECONNECT_FIRST_MS;
     /** When something came last, ms of the page. */
@@ -113,9 +116,10 @@ export class Connection {
     this.isOpen = true;
     this.heardAt = performance.now();
     this.asked = null;
+    this.run = null;
     this.channels.clear();
     for (const subscription of this.subscriptions.values()) subscription.isSent = false;
-    for (const topic of this.publications.keys()) this.sendAdvertise(topic);
+    for (const publication of this.publications.values()) publication.isSent = false;
     if (this.wantsParameters) this.sendJson({ op: "subscribeParameterUpdates", parameterNames: [] });
     this.handlers.state?.(true);
     // Ages need the run's time at once.
@@ -128,7 +132,11 @@ export class Connection {
 
   receiveText(/** @type {string} */ data) {
     const message = JSON.parse(data);
-    if (message.op === "advertise") {
+    if (message.op === "serverInfo") {
+      const run = String(message.metadata?.run ?? "");
+      this.run = run;
+      this.handlers.run?.(run);
+    } else if (message.op === "advertise") {
       for (const { id, topic, schemaName } of message.channels) this.channels.set(id, { topic, schemaName });
       this.sendSubscriptions();
     } else if (message.op === "unadvertise") {
@@ -201,9 +209,9 @@ export class Connection {
     this.sendJson({ op: "subscribeParameterUpdates", parameterNames: [] });
   }
 
-  sendAdvertise(/** @type {string} */ topic) {
-    const publication = this.publications.get(topic);
-    if (!publication) return;
+  /** @param {string} topic @param {{id: number, schemaName: string, isSent: boolean}} publication */
+  sendAdvertise(topic, publication) {
+    publication.isSent = true;
     const channel = { id: publication.id, topic, encoding: "cdr", schemaName: publication.schemaName };
     this.sendJson({ op: "advertise", channels: [channel] });
   }
@@ -216,11 +224,11 @@ export class Connection {
   publish(topic, schemaName, payload, isUrgent = false) {
     let publication = this.publications.get(topic);
     if (!publication) {
-      publication = { id: this.nextId++, schemaName };
+      publication = { id: this.nextId++, schemaName, isSent: false };
       this.publications.set(topic, publication);
-      this.sendAdvertise(topic);
     }
     if (!this.isOpen || !this.socket || (!isUrgent && this.socket.bufferedAmount > WAITING_MAX)) return false;
+    if (!publication.isSent) this.sendAdvertise(topic, publication);
     const message = new Uint8Array(5 + payload.length);
     new DataView(message.buffer).setUint32(1, publication.id, true);
     message[0] = MESSAGE;

@@ -81,6 +81,8 @@ export class MixedReality {
     this.pointers = [];
     this.panelsDue = 0;
     this.wasStopped = false;
+    /** The run that is shown, as the fleet counts them. */
+    this.run = operator.fleet.runs;
     /** @type {Set<string>} */
     this.alarms = new Set();
   }
@@ -132,6 +134,7 @@ export class MixedReality {
     const { xr, operator: { fleet }, scene } = this;
     if (!xr || !scene) return;
     const now = this.operator.now();
+    this.followRun();
     const { matrix } = viewer.transform;
     const eye = /** @type {Vector} */ ([matrix[12], matrix[13], matrix[14]]);
     const gaze = transformDirection(matrix, [0, 0, -1]);
@@ -147,6 +150,16 @@ export class MixedReality {
     this.updatePanels(frame, eye, gaze, now);
     this.pointers = this.controls.rays.map((ray) => this.pointerOf(ray));
     this.pulseOnChanges(now);
+  }
+
+  /** Forgets what was begun with a run that has ended, and the robots that the fleet no longer has. */
+  followRun() {
+    const { runs, robots } = this.operator.fleet;
+    for (const number of this.robotPanels.keys()) if (!robots.has(number)) this.robotPanels.delete(number);
+    if (runs === this.run) return;
+    this.run = runs;
+    this.alignment = null;
+    this.showLifeSize();
   }
 
   draw() {

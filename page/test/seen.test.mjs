@@ -65,3 +65,13 @@ test("a robot whose map lies nowhere yet has no colour", () => {
   maps.grids.set(1, grid("robot1/map", 2, 1, [0, 0]));
   assert.equal(maps.layer(fleet), null);
 });
+
+test("the map of a robot that is gone is neither shown nor asked for any more", () => {
+  const connection = recorder();
+  const [fleet, maps] = [fleetOf(1), new RobotMaps(connection)];
+  maps.asked = { robot: 1, topic: "/robot1/map", at: 0 };
+  maps.grids.set(1, grid("robot1/map", 2, 1, [0, 0]));
+  maps.forget(1);
+  assert.deepEqual([maps.asked, maps.grids.size], [null, 0]);
+  assert.equal(maps.layer(fleet), null);
+});

@@ -42,8 +42,8 @@ function fleetWithPose() {
 
 test("robots are found once, with their own colours and shapes", () => {
   const fleet = new Fleet();
-  assert.deepEqual(fleet.setFigures(FIGURES, 0).map((robot) => robot.name), ["robot1", "robot2"]);
-  assert.deepEqual(fleet.setFigures(FIGURES, 1), []);
+  assert.deepEqual(fleet.setFigures(FIGURES, 0).added.map((robot) => robot.name), ["robot1", "robot2"]);
+  assert.deepEqual(fleet.setFigures(FIGURES, 1), { added: [], gone: [] });
   const [first, second] = fleet.robots.values();
   assert.ok(first.colour !== second.colour && first.corners !== second.corners);
   assert.deepEqual(fleet.area, [{ at: 0, m2: 5 }, { at: 1, m2: 5 }]);
@@ -166,4 +166,34 @@ test("a run's time that is behind is another run: what belongs to the old one is
   assert.deepEqual([fleet.runs, robot.pose, robot.trail, fleet.map, fleet.area], [2, null, [], null, []]);
   assert.ok(fleet.merged.needsWhole && fleet.merged.version > version);
   assert.equal(fleet.robots.get(1), robot, "its panel stays");
+});
+
+test("another identity is another run, whatever its time: nothing of the old one is left", () => {
+  const fleet = fleetWithPose();
+  assert.equal(fleet.setRun("7-42"), null, "the first identity is that of the run that is shown");
+  fleet.setRunTime(1, 1, 60);
+  fleet.receive("/emergency_stop", new DataView(writeBool(true).buffer), 1);
+  fleet.exploration = { state: "exploring" };
+  assert.equal(fleet.setRun("7-42"), null, "a bridge that has started again");
+  assert.deepEqual([fleet.runs, fleet.robots.size, fleet.area.length], [1, 2, 1]);
+  const gone = fleet.setRun("8-43");
+  assert.deepEqual(gone.map(({ name }) => name), ["robot1", "robot2"]);
+  assert.deepEqual([fleet.runs, fleet.robots.size, fleet.area, fleet.figures], [2, 0, [], {}]);
+  assert.deepEqual([fleet.isStopped, fleet.exploration, fleet.map, fleet.box()], [null, null, null, null]);
+  assert.deepEqual(fleet.attention(2, true), []);
+  assert.equal(fleet.setRunTime(2, 2, 61), false, "its time is its own");
+  assert.equal(fleet.setRunTime(3, 3, 1), true);
+});
+
+test("robots that the fleet no longer has are gone, and one of another name is another robot", () => {
+  const fleet = fleetWithPose();
+  const second = fleet.robots.get(2);
+  const { added, gone } = fleet.setFigures({ robots: [{ number: 1, prefix: "/alice/", slam: "tracking" }, FIGURES.robots[1]] }, 1);
+  assert.deepEqual([added.map(({ name }) => name), gone.map(({ name }) => name)], [["alice"], ["robot1"]]);
+  const alice = fleet.robots.get(1);
+  assert.deepEqual([alice.prefix, alice.pose, alice.trail], ["/alice/", null, []]);
+  assert.equal(fleet.robots.get(2), second);
+  assert.deepEqual(fleet.setFigures({ robots: [FIGURES.robots[1]] }, 2).gone, [alice]);
+  assert.deepEqual([...fleet.robots.keys()], [2]);
+  assert.ok(fleet.attention(100, true).every(({ robot }) => robot !== 1));
 });

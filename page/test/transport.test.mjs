@@ -72,9 +72,13 @@ test("a new connection gets the subscriptions and publications of the one before
   again.onopen();
   again.receive(ADVERTISE);
   assert.equal(again.commands("subscribe").length, 1);
-  assert.equal(again.commands("advertise").length, 1);
+  assert.equal(again.commands("advertise").length, 0, "another run may have no such topic");
   assert.deepEqual(states, [true, false, true]);
   assert.equal(again.sent.some((data) => data instanceof Uint8Array), false, "no command is sent late");
+  connection.publish("/robot1/cmd_vel", "geometry_msgs/msg/Twist", new Uint8Array([7]));
+  connection.publish("/robot1/cmd_vel", "geometry_msgs/msg/Twist", new Uint8Array([7]));
+  const sent = again.sent.slice(-3).map((data) => (typeof data === "string" ? JSON.parse(data).op : "message"));
+  assert.deepEqual(sent, ["advertise", "message", "message"]);
 });
 
 /** Returns the pauses before the next attempts, ms: each connection is closed after so long, and was open or was not. */
@@ -190,4 +194,19 @@ test("subscriptions that are renewed are sent anew", () => {
   assert.equal(socket.commands("unsubscribe").length, 1);
   const ids = socket.commands("subscribe").map(({ subscriptions: [{ id }] }) => id);
   assert.equal(new Set(ids).size, 2);
+});
+
+test("each connection says to which run it belongs before all else, and forgets it when it is opened again", (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  const runs = [];
+  const { connection, socket } = open({ run: (run) => runs.push(run) });
+  assert.equal(connection.run, null);
+  socket.receive({ op: "serverInfo", name: "MR-SLAM", metadata: { run: "7-42" } });
+  assert.equal(connection.run, "7-42");
+  socket.onclose();
+  t.mock.timers.tick(1000);
+  FakeSocket.all[1].onopen();
+  assert.equal(connection.run, null);
+  FakeSocket.all[1].receive({ op: "serverInfo", name: "another server" });
+  assert.deepEqual(runs, ["7-42", ""]);
 });
