@@ -157,6 +157,47 @@ test("a goal and a zone are set by keyboard alone, and the arrows drive nothing 
   assert.deepEqual(errors, []);
 });
 
+test("only the primary button acts on the map, and a drag that ends beside the map sends nothing", async () => {
+  const { page, errors } = await open(browser);
+  await page.keyboard.press("Digit1");
+  await waitForText(page, "#target", "1 ·");
+  const box = await page.locator("#view").boundingBox();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  const state = () => page.evaluate(() => [mixedReality.operator.fleet.robots.get(1).sentGoal, mixedReality.operator.fleet.zones.length, { ...mapView.camera.center }]);
+  for (const tool of ["KeyG", "KeyZ", "KeyF"]) {
+    await page.keyboard.press(tool);
+    await page.evaluate(() => { mapView.fits = false; });
+    const before = await state();
+    for (const button of ["right", "middle"]) {
+      await page.mouse.move(x, y);
+      await page.mouse.down({ button });
+      await page.mouse.move(x + 60, y + 60, { steps: 3 });
+      await page.mouse.up({ button });
+    }
+    assert.deepEqual(await state(), before, tool);
+    if (tool === "KeyZ") await page.keyboard.press(tool);
+  }
+  const stick = await page.locator("#stick").boundingBox();
+  await page.mouse.move(stick.x + stick.width / 2, stick.y + 8);
+  await page.mouse.down({ button: "right" });
+  await page.waitForTimeout(150);
+  assert.match(await page.textContent("#velocity"), /^0.00 m/);
+  await page.mouse.up({ button: "right" });
+
+  for (const [tool, what] of [["KeyG", "goal"], ["KeyZ", "zone"]]) {
+    const before = await state();
+    await page.keyboard.press(tool);
+    await page.mouse.move(x, y);
+    await page.mouse.down();
+    await page.mouse.move(box.x + box.width + 40, y + 80, { steps: 4 });
+    await page.mouse.up();
+    await waitForText(page, "#log", `the ${what} was not sent`);
+    assert.deepEqual(await state(), before, what);
+    await page.keyboard.press(tool);
+  }
+  assert.deepEqual(errors, []);
+});
+
 test("the attention list keeps its buttons and the focus while its numbers change", async () => {
   const { page } = await open(browser);
   const kept = await page.evaluate(async () => {

@@ -3,6 +3,7 @@
 import { DeadMan } from "./dead_man.js";
 import { Driver, gamepadDeflection, isDriveKey, keyDeflection, stickDeflection } from "./input.js";
 import { writeTwist } from "./messages.js";
+import { PRIMARY_BUTTON, PRIMARY_BUTTONS } from "./pointers.js";
 
 /** @typedef {import("./dead_man.js").Situation} Situation */
 /** @typedef {import("./input.js").Deflection} Deflection */
@@ -104,7 +105,7 @@ export function attachStick(stick, knob, driving) {
     knob.style.transform = `translate(${x * radius * KNOB_SHARE}px, ${y * radius * KNOB_SHARE}px)`;
   };
   stick.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0 || holder !== null) return;
+    if (event.button !== PRIMARY_BUTTON || holder !== null) return;
     holder = event.pointerId;
     stick.setPointerCapture(event.pointerId);
     move(event);
@@ -112,7 +113,7 @@ export function attachStick(stick, knob, driving) {
   stick.addEventListener("pointermove", (event) => {
     if (event.pointerId !== holder) return;
     // While another button is held, the end of the primary one comes as a movement.
-    if (event.buttons & 1) move(event);
+    if (event.buttons & PRIMARY_BUTTONS) move(event);
     else release();
   });
   ["pointerup", "pointercancel", "lostpointercapture"].forEach((name) => stick.addEventListener(name, (event) => {

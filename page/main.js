@@ -449,7 +449,7 @@ element("follow").addEventListener("click", toggleFollow);
 element("zoom-in").addEventListener("click", () => zoom(1.25));
 element("zoom-out").addEventListener("click", () => zoom(0.8));
 
-attachPointers({ view, fleet, tools, select, zoom, show: showTools });
+attachPointers({ view, fleet, tools, select, zoom, show: showTools, log: logMessage });
 
 // --- Drawing ---
 

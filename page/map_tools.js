@@ -49,6 +49,13 @@ export class MapTools {
     else if (this.goals.drawn) this.goals.release();
   }
 
+  /** Ends what is being drawn, at a place outside of the map. Returns what is not sent because of that, for the operator; null if nothing was to be. */
+  releaseOutside() {
+    const what = this.goals.drawn ? "goal" : this.zones.isHeld ? "zone" : null;
+    this.cancel();
+    return what && `the ${what} was not sent: its drag ended outside of the map`;
+  }
+
   /** Gives up what is being drawn. */
   cancel() {
     this.goals.cancelDrawing();

@@ -2,6 +2,9 @@
 
 /** Movement up to which a press is a click, pixels. */
 const CLICK_PX = 6;
+/** The primary button of a mouse, a touch or the tip of a pen: as `button`, and in `buttons`. */
+export const PRIMARY_BUTTON = 0;
+export const PRIMARY_BUTTONS = 1;
 
 /**
  * Listens to the pointers and the wheel on the map.
@@ -12,14 +15,34 @@ const CLICK_PX = 6;
  * @param {(robot: number) => void} of.select
  * @param {(factor: number, pixel: {x: number, y: number}) => void} of.zoom
  * @param {() => void} of.show the view has changed
+ * @param {(text: string, isError: boolean) => void} of.log
  */
-export function attachPointers({ view, fleet, tools, select, zoom, show }) {
+export function attachPointers({ view, fleet, tools, select, zoom, show, log }) {
   const { canvas, camera } = view;
   /** Where the pointers are, pixels. @type {Map<number, {x: number, y: number, moved: number}>} */
   const pointers = new Map();
   const pixelOf = (/** @type {MouseEvent} */ event) => ({ x: event.offsetX, y: event.offsetY });
 
+  /** Ends what a pointer did. Other things lie over the map and beside it: there nothing is sent. @param {PointerEvent} event */
+  const release = (event) => {
+    const pointer = pointers.get(event.pointerId);
+    pointers.delete(event.pointerId);
+    if (tools.isHeld) {
+      if (document.elementFromPoint(event.clientX, event.clientY) === canvas) {
+        tools.release();
+      } else {
+        const text = tools.releaseOutside();
+        if (text) log(text, true);
+      }
+    } else if (pointer && pointer.moved <= CLICK_PX) {
+      const number = view.robotAt(fleet, pointer);
+      if (number !== null) select(number);
+    }
+  };
+
   canvas.addEventListener("pointerdown", (event) => {
+    // A mouse's other buttons, and those of a pen, do nothing.
+    if (event.button !== PRIMARY_BUTTON) return;
     canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, { ...pixelOf(event), moved: 0 });
     tools.press(camera.toWorld(pixelOf(event)));
@@ -27,6 +50,11 @@ export function attachPointers({ view, fleet, tools, select, zoom, show }) {
   canvas.addEventListener("pointermove", (event) => {
     const pointer = pointers.get(event.pointerId);
     if (!pointer) return;
+    // While another button is held, the end of the primary one comes as a movement.
+    if (!(event.buttons & PRIMARY_BUTTONS)) {
+      release(event);
+      return;
+    }
     const pixel = pixelOf(event);
     const [dx, dy] = [pixel.x - pointer.x, pixel.y - pointer.y];
     const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
@@ -46,14 +74,7 @@ export function attachPointers({ view, fleet, tools, select, zoom, show }) {
     pointers.set(event.pointerId, { ...pixel, moved: pointer.moved + Math.hypot(dx, dy) });
   });
   canvas.addEventListener("pointerup", (event) => {
-    const pointer = pointers.get(event.pointerId);
-    pointers.delete(event.pointerId);
-    if (tools.isHeld) {
-      tools.release();
-    } else if (pointer && pointer.moved <= CLICK_PX) {
-      const number = view.robotAt(fleet, pointer);
-      if (number !== null) select(number);
-    }
+    if (pointers.has(event.pointerId)) release(event);
   });
   canvas.addEventListener("pointercancel", (event) => {
     pointers.delete(event.pointerId);

@@ -86,3 +86,24 @@ test("a cursor that leaves the screen is shown", () => {
   for (let step = 0; step < 11; step += 1) cursor.key("ArrowRight", true);
   assert.ok(revealed.length === 1 && revealed[0].x > 11, JSON.stringify(revealed));
 });
+
+test("what is drawn to a place outside of the map is not sent, and says so", () => {
+  const { tools, sent } = map();
+  const draw = () => {
+    tools.press({ x: 1, y: 2 });
+    tools.move({ x: 3, y: 4 });
+    return tools.releaseOutside();
+  };
+  assert.equal(tools.releaseOutside(), null, "nothing is drawn");
+  tools.goals.toggle();
+  assert.match(draw(), /^the goal was not sent/);
+  assert.deepEqual([tools.isHeld, tools.isOn], [false, true], "it can be drawn again");
+  tools.goals.toggle();
+  tools.zones.toggle(true);
+  assert.match(draw(), /^the zone was not sent/);
+  tools.zones.toggle(false);
+  tools.measure.toggle(true);
+  assert.equal(draw(), null);
+  assert.ok(tools.measure.length() > 2, "a distance stays");
+  assert.deepEqual(sent, []);
+});
