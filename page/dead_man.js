@@ -5,7 +5,7 @@
 // then was meant for something else.
 
 /** @typedef {import("./input.js").Deflection} Deflection */
-/** What each device says now; null while nothing is held. @typedef {Record<Device, Deflection | null>} Deflections */
+/** What each device says now; null while nothing is held, undefined while that is not known. @typedef {Record<Device, Deflection | null | undefined>} Deflections */
 /** @typedef {(typeof DEVICES)[number]} Device */
 
 /**
@@ -34,12 +34,15 @@ export class DeadMan {
   /** Whether nothing drives now, whatever is held. */
   get isBlocked() { return this.situation.isStopped || !this.situation.isConnected || this.situation.robot === null; }
 
+  /** Lets a device drive only after it came to rest: it may have been held while nobody looked. @param {Device} device */
+  lock(device) { this.locked.add(device); }
+
   /** Takes the situation and what the devices say in it. @param {Situation} situation @param {Deflections} deflections */
   observe(situation, deflections) {
     const isOther = situation.robot !== this.situation.robot;
     const isControlLost = this.isInControl && situation.driver === "other";
     this.situation = situation;
-    if (isOther || isControlLost || this.isBlocked) DEVICES.forEach((device) => this.locked.add(device));
+    if (isOther || isControlLost || this.isBlocked) DEVICES.forEach((device) => this.lock(device));
     if (isOther || situation.driver !== null) this.isInControl = situation.driver === "me";
     if (this.isBlocked) return;
     for (const device of this.locked) if (isAtRest(device, deflections[device])) this.locked.delete(device);
@@ -48,17 +51,18 @@ export class DeadMan {
   /** Returns the deflection that drives in the situation that was observed last, or null. @param {Deflections} deflections @returns {Deflection | null} */
   pass(deflections) {
     if (this.isBlocked) return null;
-    const device = DEVICES.find((candidate) => deflections[candidate] !== null && !this.locked.has(candidate));
-    return device ? deflections[device] : null;
+    const device = DEVICES.find((candidate) => deflections[candidate] && !this.locked.has(candidate));
+    return (device && deflections[device]) ?? null;
   }
 
   /** Whether a device is held that drives only after it was let go. @param {Deflections} deflections */
   isWaiting(deflections) {
-    return !this.isBlocked && DEVICES.some((device) => this.locked.has(device) && deflections[device] !== null);
+    return !this.isBlocked && DEVICES.some((device) => this.locked.has(device) && deflections[device]);
   }
 }
 
-/** Returns whether a device is at rest: let go, or not deflected. Opposite keys that are held are not. @param {Device} device @param {Deflection | null} deflection */
+/** Returns whether a device is at rest: let go, or not deflected. Opposite keys that are held are not. @param {Device} device @param {Deflection | null | undefined} deflection */
 function isAtRest(device, deflection) {
+  if (deflection === undefined) return false;
   return deflection === null || (device !== "keys" && deflection.forward === 0 && deflection.left === 0);
 }

@@ -15,7 +15,7 @@ const KNOB_SHARE = 0.62;
  * @property {import("./state.js").Fleet} fleet
  * @property {() => number | null} selected number of the selected robot
  * @property {() => Situation} situation
- * @property {() => Deflection | null} headset what the headset's controllers say
+ * @property {() => Deflection | null | undefined} headset what the headset's controllers say; undefined while they are not heard
  * @property {(topic: string, type: string, payload: Uint8Array) => boolean} publish returns whether it was sent
  */
 
@@ -30,29 +30,34 @@ export class Driving {
     this.keys = new Set();
     /** @type {Deflection | null} */
     this.stick = null;
+    /** What the devices said last. @type {import("./dead_man.js").Deflections} */
+    this.deflections = { headset: undefined, stick: null, keys: null, gamepad: undefined };
   }
 
-  /** Returns what each device says now. @returns {import("./dead_man.js").Deflections} */
-  deflections() {
-    const gamepad = document.hasFocus() ? [...navigator.getGamepads()].find((pad) => pad !== null) ?? null : null;
-    return { headset: this.of.headset(), stick: this.stick, keys: keyDeflection(this.keys), gamepad: gamepadDeflection(gamepad) };
+  /** Looks at the situation and the devices. Call it at each change of either. Returns what the devices say. */
+  observe() {
+    const gamepad = document.hasFocus() ? [...navigator.getGamepads()].find((pad) => pad !== null) : null;
+    // One that is gone, or heard by another window, may be held meanwhile.
+    if (!gamepad) this.deadMan.lock("gamepad");
+    this.deflections = {
+      headset: this.of.headset(), stick: this.stick, keys: keyDeflection(this.keys), gamepad: gamepad ? gamepadDeflection(gamepad) : undefined,
+    };
+    this.deadMan.observe(this.of.situation(), this.deflections);
+    return this.deflections;
   }
 
   /** Whether the operator holds a key or the stick to drive. */
   get isHeld() { return this.stick !== null || [...this.keys].some(isDriveKey); }
 
   /** Whether something is held that drives only after it was let go. */
-  get isWaiting() { return this.deadMan.isWaiting(this.deflections()); }
-
-  /** Looks at the situation and the devices. Call it at each change of either. */
-  observe() { this.deadMan.observe(this.of.situation(), this.deflections()); }
+  get isWaiting() { return this.deadMan.isWaiting(this.deflections); }
 
   /** Sends the velocities that are due. Returns that of the selected robot as it was sent, m/s and rad/s. */
   tick() {
-    const [{ fleet, selected, publish }, deflections] = [this.of, this.deflections()];
-    this.deadMan.observe(this.of.situation(), deflections);
+    const { fleet, selected, publish } = this.of;
+    const deflection = this.deadMan.pass(this.observe());
     let sent = { linear: 0, angular: 0 };
-    for (const { robot: number, forward, left } of this.driver.tick(this.deadMan.pass(deflections), selected())) {
+    for (const { robot: number, forward, left } of this.driver.tick(deflection, selected())) {
       const robot = fleet.robots.get(number);
       if (!robot) continue;
       const { linear_max_m_s: linearMax = 0, angular_max_rad_s: angularMax = 0 } = robot.figures;

@@ -118,6 +118,7 @@ export class MixedReality {
     this.xr = null;
     this.showLifeSize();
     this.alignment = null;
+    this.controls.mustOpenGrip = true;
     this.changed(false);
   }
 

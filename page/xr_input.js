@@ -27,6 +27,8 @@ export class Controls {
     /** @type {Deflection | null} */
     this.deflection = null;
     this.deflectionAt = -Infinity;
+    /** Whether the right grip drives only after it was open: it may have been held while it was not seen. */
+    this.mustOpenGrip = true;
     /** @type {Ray[]} */
     this.rays = [];
     this.hand = new HandStick();
@@ -41,20 +43,25 @@ export class Controls {
     this.deflection = null;
     this.deflectionAt = now;
     if (session.visibilityState !== "visible") {
+      this.mustOpenGrip = true;
       this.hand.release();
       return;
     }
     const down = new Set();
+    /** @type {Deflection | null | undefined} */
+    let byGrip;
     for (const source of session.inputSources) {
       const ray = source.targetRayMode === "tracked-pointer" && !isDrivingHand(source) ? rayOf(frame, source, space) : null;
       if (ray) this.rays.push(ray);
       const { gamepad, handedness } = source;
       if (!gamepad || source.hand) continue;
-      if (handedness === "right") this.deflection = thumbstickDeflection(gamepad);
+      if (handedness === "right") byGrip = thumbstickDeflection(gamepad);
       gamepad.buttons.forEach((/** @type {any} */ button, /** @type {number} */ i) => {
         if (button.pressed) down.add(`${handedness} ${i}`);
       });
     }
+    this.mustOpenGrip = byGrip === undefined || (this.mustOpenGrip && byGrip !== null);
+    this.deflection = this.mustOpenGrip ? null : byGrip ?? null;
     // A controller in the right hand drives before a bare left hand.
     const byHand = this.hand.update(session, frame, space, heading);
     this.deflection ??= byHand;
@@ -72,8 +79,8 @@ export class Controls {
     meanings[button]?.();
   }
 
-  /** Returns what the thumbstick says now, or null if its dead man's switch is open or frames have stopped. */
-  drive(/** @type {number} */ now) { return now - this.deflectionAt > FRESH_S ? null : this.deflection; }
+  /** Returns what the thumbstick says now, null if its dead man's switch is open, or undefined if frames have stopped. */
+  drive(/** @type {number} */ now) { return now - this.deflectionAt > FRESH_S ? undefined : this.deflection; }
 }
 
 /** Returns whether a source is the bare hand that drives: it points at nothing. @param {any} source */

@@ -61,6 +61,19 @@ test("a stick in its middle is at rest, opposite keys are not", () => {
   }
 });
 
+test("a device that is not heard is not known to be at rest, and drives nothing", () => {
+  const [deadMan, unheard] = [released(), { ...none(), headset: undefined }];
+  drive(deadMan, FREE, only("headset"));
+  assert.equal(drive(deadMan, FREE, unheard), null);
+  assert.deepEqual(drive(deadMan, FREE, only("headset")), FULL, "frames have stopped for a moment");
+  drive(deadMan, { ...FREE, isStopped: true }, only("headset"));
+  drive(deadMan, FREE, unheard);
+  assert.equal(drive(deadMan, FREE, only("headset")), null);
+  drive(deadMan, FREE, none());
+  deadMan.lock("headset");
+  assert.equal(drive(deadMan, FREE, only("headset")), null);
+});
+
 test("a device that must be let go keeps no other one from driving", () => {
   const deadMan = released();
   drive(deadMan, { ...FREE, robot: "1 2" }, only("keys"));
@@ -97,7 +110,7 @@ function change(random, situation, deflections) {
     () => { situation.driver = pick(["me", "other", null]); },
   ];
   if (random() < 0.3) pick(changes)();
-  if (random() < 0.6) deflections[pick(DEVICES)] = pick([null, ZERO, FULL, { forward: 0, left: -0.5 }]);
+  if (random() < 0.6) deflections[pick(DEVICES)] = pick([null, undefined, ZERO, FULL, { forward: 0, left: -0.5 }]);
 }
 
 test("whatever the order of events, a deflection drives only if its device was at rest since the newest of them", () => {
@@ -117,10 +130,10 @@ test("whatever the order of events, a deflection drives only if its device was a
       before.robot = situation.robot;
       for (const device of DEVICES) {
         const held = deflections[device];
-        if (!isBlocked && (held === null || (device !== "keys" && !held.forward && !held.left))) rested.add(device);
+        if (!isBlocked && (held === null || (held && device !== "keys" && !held.forward && !held.left))) rested.add(device);
       }
       const passed = drive(deadMan, { ...situation }, { ...deflections });
-      const may = isBlocked ? undefined : DEVICES.find((device) => deflections[device] !== null && rested.has(device));
+      const may = isBlocked ? undefined : DEVICES.find((device) => deflections[device] && rested.has(device));
       assert.deepEqual(passed, may === undefined ? null : deflections[may], `seed ${seed}, step ${step}`);
       if (passed && (passed.forward || passed.left)) driven += 1;
     }

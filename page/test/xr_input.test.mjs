@@ -34,6 +34,8 @@ test("the right thumbstick drives with the grip; the left one never does", () =>
   const visible = (...inputSources) => ({ visibilityState: "visible", inputSources });
   it.update(visible(source("left", [1], [0, 0, 0, -1])), frame, null, 0);
   assert.equal(it.drive(0), null);
+  it.update(visible(source("right", [], [0, 0, 0, -1])), frame, null, 0.5);
+  assert.equal(it.drive(0.5), null);
   it.update(visible(source("right", [1], [0, 0, 0, -1])), frame, null, 1);
   assert.deepEqual(it.drive(1.1), { forward: 1, left: 0 });
 });
@@ -41,12 +43,29 @@ test("the right thumbstick drives with the grip; the left one never does", () =>
 test("a robot is not driven by frames that have stopped, nor while the system's menu is open", () => {
   const { it } = controls();
   const driving = [source("right", [1], [0, 0, 0, -1])];
+  it.update({ visibilityState: "visible", inputSources: [source("right", [])] }, frame, null, 0.9);
   it.update({ visibilityState: "visible", inputSources: driving }, frame, null, 1);
-  assert.equal(it.drive(1.25), null, "the headset was taken off");
+  assert.ok(it.drive(1.1));
+  assert.equal(it.drive(1.25), undefined, "the headset was taken off: the grip is not known to be open");
   it.update({ visibilityState: "visible-blurred", inputSources: driving }, frame, null, 2);
   assert.equal(it.drive(2), null);
   it.update({ visibilityState: "visible", inputSources: [] }, frame, null, 3);
   assert.equal(it.drive(3), null, "the controller is gone");
+});
+
+test("a grip that was held while it was not seen drives only after it was open", () => {
+  const { it } = controls();
+  const update = (pressed, visibilityState = "visible") => {
+    it.update({ visibilityState, inputSources: pressed ? [source("right", pressed, [0, 0, 0, -1])] : [] }, frame, null, 1);
+    return it.drive(1);
+  };
+  assert.equal(update([1]), null, "held when the session begins");
+  for (const unseen of [() => update([1], "visible-blurred"), () => update(null)]) {
+    assert.equal(update([]), null);
+    assert.deepEqual(update([1]), { forward: 1, left: 0 });
+    unseen();
+    assert.equal(update([1]), null);
+  }
 });
 
 test("rays are those of tracked inputs, ahead along their negative z axis", () => {
