@@ -360,6 +360,28 @@ test("a button stops all robots, and the controllers are felt", async () => {
   await headset.page.waitForSelector("#release[hidden]", { state: "attached", ...WAIT });
 });
 
+test("a grip that is held when the stop is released drives nothing until it is held anew", async () => {
+  const { page } = headset;
+  const isDriver = (who) => page.waitForFunction((wanted) => document.querySelector(".robot").textContent.includes(`Driver${wanted}`), who, WAIT);
+  await page.keyboard.press("Digit1");
+  await headset.stick(1, 0);
+  await headset.button("squeeze", 1);
+  await isDriver("you");
+  await page.keyboard.press("Escape");
+  await page.waitForSelector("#release:not([hidden])", { state: "attached", ...WAIT });
+  await page.evaluate(() => document.querySelector("#release").click());
+  await page.waitForSelector("#release[hidden]", { state: "attached", ...WAIT });
+  await page.waitForFunction(() => globalThis.mixedReality.noticeText(true).startsWith("let go"), null, WAIT);
+  await isDriver("nobody");
+  await headset.button("squeeze", 0);
+  await headset.frames(3);
+  await headset.button("squeeze", 1);
+  await isDriver("you");
+  await headset.button("squeeze", 0);
+  await headset.stick(0, 0);
+  await isDriver("nobody");
+});
+
 test("sockets that break when the session starts and again and again, as they do on headsets, are opened and the session goes on", async () => {
   const other = await Headset.open({ breaksAtStart: true });
   await other.look(inXr(0, -1, 1.6), inXr(0, 2, 1.6));

@@ -237,6 +237,7 @@ element("release").addEventListener("click", release);
 
 // --- Driving ---
 
+/** @type {Driving} */
 const driving = new Driving({
   fleet,
   selected: () => selected,
@@ -401,6 +402,7 @@ const reality = new MixedReality({
   fleet, select, selectNext, stop, release, takeOver, log: logMessage, now,
   selected: () => selected,
   isConnected: isAnswering,
+  mustLetGo: () => driving.isWaiting,
   isStopUnconfirmed: () => emergencyStop.isUnconfirmed(now()),
   floorSelected: (point) => {
     const robot = selected === null ? null : fleet.robots.get(selected);

@@ -25,7 +25,7 @@ import { RobotView, tablePlacement } from "./xr_views.js";
  * @property {Fleet} fleet @property {() => number | null} selected @property {(number: number | null) => void} select
  * @property {(step: number) => void} selectNext @property {() => void} stop @property {() => void} release
  * @property {() => void} takeOver @property {() => boolean} isConnected
- * @property {() => boolean} isStopUnconfirmed @property {(text: string, isError?: boolean) => void} log
+ * @property {() => boolean} isStopUnconfirmed @property {() => boolean} mustLetGo whether what is held drives only after it was let go @property {(text: string, isError?: boolean) => void} log
  * @property {() => number} now seconds
  * @property {(point: {x: number, y: number}) => void} floorSelected a point of `map` was pointed at: for goals
  */
@@ -234,6 +234,7 @@ export class MixedReality {
     if (!isConnected) return "no connection: you drive nothing, robots with goals drive on";
     if (this.alignment) return this.alignment.place ? `point straight ahead of ${this.alignment.name}` : `point where ${this.alignment.name} stands`;
     if (this.operator.fleet.isStopped) return "emergency stop is set";
+    if (this.operator.mustLetGo()) return "let go, and hold again to drive";
     if (this.warning && this.operator.now() < this.warning.until) return this.warning.text;
     return this.notice || "connected";
   }
