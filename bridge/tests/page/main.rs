@@ -45,7 +45,12 @@ fn content() -> PageContent {
         SAVED_TLX.set(Some(answer));
         Box::pin(ready(Ok(())))
     };
-    PageContent { files: FILES, save_room: Some(Rc::new(save)), save_tlx: Some(Rc::new(save_tlx)), run_id: "7-42".into() }
+    PageContent {
+        files: FILES,
+        save_room: Some(Rc::new(save)),
+        save_tlx: Some(Rc::new(save_tlx)),
+        run_id: "7-42".into(),
+    }
 }
 
 /// Something to do on the bridge's thread.
