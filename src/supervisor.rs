@@ -218,7 +218,7 @@ fn watchdogs(row: &ProcessRow, now: Monotonic) -> [Watchdog; WatchedThread::COUN
 }
 
 /// Describes a finding of the watchdog about `who`.
-fn describe_finding(who: &str, finding: Finding) -> String {
+pub(crate) fn describe_finding(who: &str, finding: Finding) -> String {
     match finding {
         Finding::Slow { silence } => {
             format!("{who} has not answered for {:.1} s but works; left alone", silence.as_secs_f64())

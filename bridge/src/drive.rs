@@ -35,6 +35,8 @@ pub enum DriveDecision {
     Ignore,
     /// It is refused: another client drives the robot.
     DrivenBy(DriveClient),
+    /// It is refused: the base on another machine drives the robot.
+    DrivenByBase,
     /// It is refused: the emergency stop is set.
     Stopped,
 }
@@ -43,12 +45,20 @@ pub enum DriveDecision {
 struct RobotDrive {
     /// Who holds the robot, and until when.
     lease: Option<(DriveClient, Monotonic)>,
+    /// Until when the base on another machine drives the robot.
+    base_until: Option<Monotonic>,
     /// The client whose velocity was the last to pass.
     last_driver: Option<ClientId>,
     /// Whether the navigator drives the robot to a goal.
     is_navigated: bool,
     /// Whether the robot takes part in the fleet's exploration.
     is_exploring: bool,
+}
+
+impl RobotDrive {
+    fn is_driven_by_base(&self, now: Monotonic) -> bool {
+        self.base_until.is_some_and(|until| now < until)
+    }
 }
 
 /// Arbitrates between the clients that want to drive robots.
@@ -58,6 +68,8 @@ pub struct DriveArbiter {
     robot_count: usize,
     selected: RobotId,
     is_stopped: bool,
+    /// Number of stops, and of times that a client has begun to drive.
+    interruptions: u64,
     lease: Duration,
     /// The robot that a client's thumb stick moves while its grip (the dead man's switch) is held.
     stick_targets: Vec<(ClientId, RobotId)>,
@@ -71,6 +83,7 @@ impl DriveArbiter {
             robot_count,
             selected,
             is_stopped: false,
+            interruptions: 0,
             lease,
             stick_targets: Vec::new(),
         }
@@ -99,7 +112,18 @@ impl DriveArbiter {
 
     /// Sets or releases the emergency stop.
     pub fn set_stopped(&mut self, is_stopped: bool) {
+        self.interruptions += u64::from(is_stopped && !self.is_stopped);
         self.is_stopped = is_stopped;
+    }
+
+    /// Returns the number of stops, and of times that a client has begun to drive, since the start.
+    pub fn interruptions(&self) -> u64 {
+        self.interruptions
+    }
+
+    /// Returns whether a client holds a robot's lease now.
+    pub fn is_driven_by_client(&self, now: Monotonic) -> bool {
+        RobotId::first(self.robot_count).any(|robot| self.leaseholder(robot, now).is_some())
     }
 
     /// Returns who holds the robot's lease now.
@@ -121,19 +145,23 @@ impl DriveArbiter {
         if self.is_stopped {
             return if is_moving { DriveDecision::Stopped } else { DriveDecision::Ignore };
         }
-        match self.leaseholder(robot, now) {
+        let before = self.leaseholder(robot, now);
+        match before {
             Some(holder) if !holder.is_same(&driver) => {
                 return if is_moving { DriveDecision::DrivenBy(holder) } else { DriveDecision::Ignore };
             }
             _ => {}
         }
         let state = &mut self.robots[robot.index()];
-        // A client that sends zeros at 20 Hz does not stop a robot that the navigator drives.
-        if !is_moving && state.is_navigated && state.lease.is_none_or(|(_, until)| now >= until) {
+        // A client that sends zeros at 20 Hz does not stop a robot that the navigator or the base drives.
+        let is_driven = state.is_navigated || state.is_driven_by_base(now);
+        if !is_moving && is_driven && state.lease.is_none_or(|(_, until)| now >= until) {
             return DriveDecision::Ignore;
         }
         if is_moving {
             state.lease = Some((driver, now + self.lease));
+            state.base_until = None;
+            self.interruptions += u64::from(before.is_none());
         }
         state.last_driver = driver.client;
         DriveDecision::Pass
@@ -144,8 +172,28 @@ impl DriveArbiter {
         match self.leaseholder(robot, now) {
             _ if self.is_stopped => DriveDecision::Stopped,
             Some(holder) => DriveDecision::DrivenBy(holder),
+            None if self.robots[robot.index()].is_driven_by_base(now) => DriveDecision::DrivenByBase,
             None => DriveDecision::Pass,
         }
+    }
+
+    /// Decides on a velocity of the base on another machine. It gives way to every client, and the navigator gives way to it:
+    /// a moving velocity keeps the robot for the base as long as a lease lasts.
+    pub fn decide_base(&mut self, robot: RobotId, is_moving: bool, now: Monotonic) -> DriveDecision {
+        let refusal = match self.leaseholder(robot, now) {
+            _ if self.is_stopped => Some(DriveDecision::Stopped),
+            holder => holder.map(DriveDecision::DrivenBy),
+        };
+        if let Some(refusal) = refusal {
+            return if is_moving { refusal } else { DriveDecision::Ignore };
+        }
+        let state = &mut self.robots[robot.index()];
+        if is_moving {
+            state.base_until = Some(now + self.lease);
+        } else if state.is_navigated && !state.is_driven_by_base(now) {
+            return DriveDecision::Ignore;
+        }
+        DriveDecision::Pass
     }
 
     /// Returns whether the navigator drives a robot to a goal.
@@ -175,7 +223,9 @@ impl DriveArbiter {
         robot: RobotId,
         now: Monotonic,
     ) -> Option<DriveClient> {
-        let before = self.leaseholder(robot, now).filter(|holder| !holder.is_same(&driver));
+        let holder = self.leaseholder(robot, now);
+        self.interruptions += u64::from(holder.is_none());
+        let before = holder.filter(|holder| !holder.is_same(&driver));
         self.robots[robot.index()].lease = Some((driver, now + self.lease));
         before
     }
@@ -266,6 +316,27 @@ mod tests {
         assert_eq!(drive.robot(1), Some(robot));
         assert_eq!((drive.robot(0), drive.robot(2), drive.robot(-1)), (None, None, None));
     }
+
+    #[test]
+    fn the_base_drives_before_the_navigator_and_after_every_client() {
+        let robot = RobotId::new(1).unwrap();
+        let mut drive = DriveArbiter::new(1, robot, Duration::from_secs(1));
+        drive.set_navigated(robot, true);
+        assert_eq!(drive.decide_base(robot, false, at_ms(0)), DriveDecision::Ignore, "a zero stops no goal");
+        assert_eq!(drive.decide_navigation(robot, at_ms(0)), DriveDecision::Pass);
+        assert_eq!(drive.decide_base(robot, true, at_ms(0)), DriveDecision::Pass);
+        assert_eq!(drive.decide_navigation(robot, at_ms(900)), DriveDecision::DrivenByBase);
+        assert_eq!(drive.decide(client(1), robot, false, at_ms(900)), DriveDecision::Ignore);
+        assert_eq!(drive.interruptions(), 0);
+        assert_eq!(drive.decide(client(1), robot, true, at_ms(900)), DriveDecision::Pass);
+        assert_eq!(drive.decide_base(robot, true, at_ms(1000)), DriveDecision::DrivenBy(client(1)));
+        assert!(drive.is_driven_by_client(at_ms(1000)) && !drive.is_driven_by_client(at_ms(2000)));
+        assert_eq!(drive.interruptions(), 1);
+        drive.set_stopped(true);
+        assert_eq!(drive.decide_base(robot, true, at_ms(2000)), DriveDecision::Stopped);
+        assert_eq!(drive.interruptions(), 2);
+    }
+
     #[test]
     fn after_a_restart_the_former_driver_alone_gets_its_robot() {
         let robot = RobotId::new(1).unwrap();

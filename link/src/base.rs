@@ -8,9 +8,12 @@ use crate::peer::{Peer, STATE_PERIOD, Timer};
 use crate::receiver::{PartChange, PartReceiver};
 use crate::scan::{DecimatedScan, ScanRate};
 use crate::table::Kind;
-use crate::wire::{BaseState, Chunk, Message, RobotState, WireError};
+use crate::wire::{BaseState, Chunk, INTERRUPTIONS_UNKNOWN, Message, RobotState, WireError};
 use msg::tiles::ROBOT_TILES_MAX;
-use msg::{IndexRect, Monotonic, PoseEstimate, Submap, SubmapPoses, TileMap, Transforms, VelocityCommand};
+use msg::{
+    IndexRect, Monotonic, PauseReason, PoseEstimate, Submap, SubmapPoses, TileMap, Transforms,
+    VelocityCommand,
+};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -47,12 +50,41 @@ pub enum BaseEvent {
     },
 }
 
+/// Whether the robot follows the base, as its machine says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Hold {
+    /// Why it does not; `None`: nothing is known to hold it.
+    pub reason: Option<PauseReason>,
+    /// Number of stops and of drives by hand at its machine that have been noticed.
+    pub interruptions: u64,
+}
+
 /// The newest state that the robot has said.
 #[derive(Clone, Copy, Debug, Default)]
 struct HeardState {
     newest: RobotState,
+    /// When it arrived; 0: never.
+    received: Monotonic,
+    /// Stops and drives by hand that have been noticed.
+    interruptions: u64,
     /// Whether it is of the session that counts. Before, nobody knows of which run that session's messages are.
     is_of_session: bool,
+}
+
+impl HeardState {
+    /// Returns the state after one that has arrived, which may tell of an interruption.
+    fn replaced_by(self, mut newest: RobotState, received: Monotonic) -> Self {
+        let before = self.newest;
+        let is_same_run = before.run == newest.run;
+        let is_known = |state: RobotState| state.interruptions != INTERRUPTIONS_UNKNOWN;
+        if is_same_run && !is_known(newest) {
+            newest.interruptions = before.interruptions;
+        }
+        let has_counted = is_known(before) && before.interruptions != newest.interruptions;
+        let is_interrupted = self.received.0 > 0 && (!is_same_run || has_counted);
+        let interruptions = self.interruptions + u64::from(is_interrupted);
+        Self { newest, received, interruptions, is_of_session: true }
+    }
 }
 
 /// End of the link to one robot. Channels, sockets and the clock are with its owner.
@@ -118,6 +150,28 @@ impl BaseEnd {
         self.robot_state.newest
     }
 
+    /// Returns when the robot's newest state arrived; 0: never.
+    pub fn state_received(&self) -> Monotonic {
+        self.robot_state.received
+    }
+
+    /// Returns whether the robot follows this base.
+    pub fn hold(&self) -> Hold {
+        let HeardState { newest, interruptions, .. } = self.robot_state;
+        let reason = match newest {
+            RobotState { is_own_stop: true, .. } => Some(PauseReason::StoppedAtRobot),
+            RobotState { is_driven_by_hand: true, .. } => Some(PauseReason::DrivenAtRobot),
+            RobotState { is_late: true, .. } => Some(PauseReason::LateVelocities),
+            _ => None,
+        };
+        Hold { reason, interruptions }
+    }
+
+    /// Returns whether two machines bear the robot's name: one is heard, and the other one is refused meanwhile.
+    pub fn is_contested(&self, now: Monotonic) -> bool {
+        self.leadership.is_contested(now)
+    }
+
     /// Returns whether the robot was heard lately.
     pub fn is_heard(&self, now: Monotonic) -> bool {
         self.leadership.is_heard(now)
@@ -146,7 +200,7 @@ impl BaseEnd {
                 events.push(BaseEvent::RobotJoined { robot: envelope.session, before });
             }
         }
-        self.peer.heard = self.peer.heard.max(envelope.sent);
+        (self.peer.heard, self.peer.to) = (self.peer.heard.max(envelope.sent), envelope.session);
         if !self.robot_state.is_of_session && !matches!(envelope.message, Message::RobotState(_)) {
             return Ok(events);
         }
@@ -159,7 +213,7 @@ impl BaseEnd {
                     self.forget_map();
                     events.push(BaseEvent::NewRun(state.run));
                 }
-                self.robot_state = HeardState { newest: state, is_of_session: true };
+                self.robot_state = before.replaced_by(state, now);
                 self.is_list_due = is_new_run || state.list_of != self.peer.session;
             }
             Message::PoseEstimate(pose_estimate) => events.push(BaseEvent::PoseEstimate(pose_estimate)),

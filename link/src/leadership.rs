@@ -9,6 +9,10 @@ pub const SILENCE_MAX: Duration = Duration::from_secs(3);
 /// two signs of life. An older answer waited in a queue.
 pub const ANSWER_AGE_MAX: Duration = Duration::from_millis(500);
 
+/// Time for which another peer is refused while the one that leads is heard after which there are two: one that takes the place
+/// of another is accepted sooner.
+const CONTESTED_AFTER: Duration = Duration::from_secs(5);
+
 /// Whether a message counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -27,6 +31,8 @@ pub enum Verdict {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Leadership {
     leader: Option<(u64, Monotonic)>,
+    /// When another peer was refused first since this one leads, without a long pause, and when last.
+    contest: Option<(Monotonic, Monotonic)>,
     /// Messages of other peers that were refused.
     pub refused: u64,
 }
@@ -41,10 +47,12 @@ impl Leadership {
             }
             Some((_, heard)) if now.since(heard) < SILENCE_MAX.as_nanos() as u64 => {
                 self.refused += 1;
+                let begun = self.contest.filter(|(_, newest)| !is_silence(*newest, now));
+                self.contest = Some((begun.map_or(now, |(begun, _)| begun), now));
                 Verdict::Refused
             }
             before => {
-                self.leader = Some((session, now));
+                (self.leader, self.contest) = (Some((session, now)), None);
                 Verdict::TakenOver { before: before.map(|(session, _)| session) }
             }
         }
@@ -55,10 +63,20 @@ impl Leadership {
         self.leader.map(|(session, _)| session)
     }
 
+    /// Returns whether two peers are there: one that leads, and one that is refused all the time.
+    pub fn is_contested(&self, now: Monotonic) -> bool {
+        let contest = self.contest.filter(|(_, newest)| !is_silence(*newest, now));
+        contest.is_some_and(|(begun, newest)| newest.since(begun) >= CONTESTED_AFTER.as_nanos() as u64)
+    }
+
     /// Returns whether the peer that leads was heard lately.
     pub fn is_heard(&self, now: Monotonic) -> bool {
         self.leader.is_some_and(|(_, heard)| now.since(heard) < SILENCE_MAX.as_nanos() as u64)
     }
+}
+
+fn is_silence(since: Monotonic, now: Monotonic) -> bool {
+    now.since(since) >= SILENCE_MAX.as_nanos() as u64
 }
 
 /// Returns whether a message that answers ours of the time `answers` is recent. Only our own clock is read.

@@ -14,6 +14,8 @@ pub const STATE_PERIOD: Duration = Duration::from_millis(200);
 pub struct Peer {
     /// Session of this end: a random number that it keeps until its process ends.
     pub session: u64,
+    /// Session of the peer that counts; 0 before there is one.
+    pub to: u64,
     /// Sending time of the peer's newest message, on its clock.
     pub heard: Monotonic,
     /// Bytes sent to the peer.
@@ -26,13 +28,14 @@ impl Peer {
     /// Creates an end that has heard nothing.
     pub fn new(session: u64) -> Self {
         let (sent, received) = (ByteCounters::default(), ByteCounters::default());
-        Self { session, heard: Monotonic(0), sent, received }
+        Self { session, to: 0, heard: Monotonic(0), sent, received }
     }
 
     /// Encodes and counts a message, and hands it to `send`.
     pub fn send(&mut self, message: Message, now: Monotonic, send: &mut impl FnMut(Kind, &[u8])) {
         let kind = message.kind();
-        let envelope = Envelope { session: self.session, sent: now, answers: self.heard, message };
+        let envelope =
+            Envelope { session: self.session, to: self.to, sent: now, answers: self.heard, message };
         let bytes = envelope.to_bytes();
         self.sent.add(kind, bytes.len());
         send(kind, &bytes);

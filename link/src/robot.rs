@@ -1,7 +1,8 @@
 //! The link's end on a robot's machine: its map, poses and state go to the base, velocities and the stop come back.
 
 use crate::counters::ByteCounters;
-use crate::leadership::{Leadership, Verdict, is_recent};
+use crate::leadership::{Leadership, Verdict};
+use crate::obedience::Obedience;
 use crate::part::{PartContent, PartKey};
 use crate::peer::{Peer, STATE_PERIOD, Timer};
 use crate::scan::ScanRate;
@@ -38,6 +39,17 @@ pub enum RobotEvent {
     },
 }
 
+/// Who controls the robot at its own machine, as its bridge says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LocalControl {
+    /// Whether the emergency stop is set; `None` if the bridge does not answer.
+    pub is_stopped: Option<bool>,
+    /// Whether a person drives the robot.
+    pub is_driven_by_hand: bool,
+    /// Number of stops and of drives by hand; it keeps its value while the bridge does not answer.
+    pub interruptions: u32,
+}
+
 /// Messages that wait for their time: the newest alone counts.
 #[derive(Debug, Default)]
 struct Newest {
@@ -72,8 +84,8 @@ pub struct RobotEnd {
     run: u32,
     leadership: Leadership,
     follower: StopFollower,
-    /// Whether the robot's own emergency stop is set, if it is known.
-    is_stopped: Option<bool>,
+    local: LocalControl,
+    obedience: Obedience,
     sender: PartSender,
     newest: Newest,
     scans: ScanThrottle,
@@ -90,7 +102,8 @@ impl RobotEnd {
             run,
             leadership: Leadership::default(),
             follower: StopFollower::default(),
-            is_stopped: None,
+            local: LocalControl::default(),
+            obedience: Obedience::default(),
             sender: PartSender::new(config),
             newest: Newest::default(),
             scans: ScanThrottle::new(scans),
@@ -124,9 +137,29 @@ impl RobotEnd {
         self.sender.waiting()
     }
 
-    /// Sets whether the robot's own emergency stop is set; `None` if its bridge does not answer.
-    pub fn set_stopped(&mut self, is_stopped: Option<bool>) {
-        self.is_stopped = is_stopped;
+    /// Sets who controls the robot at its own machine. A change is told to the base at once.
+    pub fn set_local_control(&mut self, local: LocalControl) {
+        if local.is_stopped.is_some() && self.obedience.set_interruptions(local.interruptions)
+            || local != self.local
+        {
+            self.timers.state = Timer::new(STATE_PERIOD);
+        }
+        self.local = local;
+    }
+
+    /// Returns the number of velocities of the base that came too late to be obeyed.
+    pub fn late_velocities(&self) -> u64 {
+        self.obedience.late_count
+    }
+
+    /// Returns whether all of the base's velocities come too late to be obeyed.
+    pub fn is_late(&self, now: Monotonic) -> bool {
+        self.obedience.is_late(now)
+    }
+
+    /// Returns whether the base has accepted another machine that bears this robot's name, and obeys nothing of this one.
+    pub fn is_refused(&self) -> bool {
+        self.obedience.is_refused()
     }
 
     /// Takes a message of a base. Velocities that waited on the way, and messages of a second base, ask for nothing.
@@ -143,14 +176,15 @@ impl RobotEnd {
                 events.push(RobotEvent::BaseLeads { base: envelope.session, before });
             }
         }
-        self.peer.heard = self.peer.heard.max(envelope.sent);
+        (self.peer.heard, self.peer.to) = (self.peer.heard.max(envelope.sent), envelope.session);
+        let is_ours = self.obedience.is_addressed(envelope.to, self.peer.session, now);
         match envelope.message {
             Message::BaseState(state) => {
                 self.scans.set_asked(state.scans);
-                let request = self.follower.follow(envelope.session, state, self.is_stopped, now);
+                let request = self.follower.follow(envelope.session, state, self.local.is_stopped, now);
                 events.extend(request.map(RobotEvent::Stop));
             }
-            Message::Velocity(command) if is_recent(envelope.answers, now) => {
+            Message::Velocity(command) if is_ours && self.obedience.judge(envelope.answers, now) => {
                 events.push(RobotEvent::Velocity(command));
             }
             Message::Held(page) => drop(self.sender.receive_list(page, envelope.session)),
@@ -229,12 +263,7 @@ impl RobotEnd {
             self.remove_old_parts(now);
         }
         if self.timers.state.is_due(now) {
-            let state = RobotState {
-                list_of: self.sender.list_of(),
-                run: self.run,
-                waiting: self.sender.waiting() as u32,
-                is_stopped: self.is_stopped == Some(true),
-            };
+            let state = self.state(now);
             self.peer.send(Message::RobotState(state), now, send);
         }
         let scan = self.scans.take();
@@ -255,6 +284,20 @@ impl RobotEnd {
         }
         while let Some(chunk) = self.sender.next_chunk(now) {
             self.peer.send(Message::Chunk(chunk), now, send);
+        }
+    }
+
+    fn state(&mut self, now: Monotonic) -> RobotState {
+        let is_stopped = self.local.is_stopped == Some(true);
+        RobotState {
+            list_of: self.sender.list_of(),
+            run: self.run,
+            waiting: self.sender.waiting() as u32,
+            is_stopped,
+            is_own_stop: is_stopped && self.follower.is_own(self.leadership.session(), now),
+            is_driven_by_hand: self.local.is_driven_by_hand,
+            is_late: self.obedience.is_late(now),
+            interruptions: self.obedience.tell_interruptions(now),
         }
     }
 

@@ -9,6 +9,8 @@ use std::time::Duration;
 
 /// Time after which a stop is requested again that the robot's bridge does not confirm.
 const REPEAT_PERIOD: Duration = Duration::from_secs(1);
+/// Time that the robot's bridge gets to release a stop of the base.
+const RELEASE_MAX: Duration = Duration::from_secs(2);
 
 /// Request to the robot's own bridge, which keeps the stop on its disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,6 +27,8 @@ pub struct StopFollower {
     /// Session of the base whose stop this robot took over.
     stopped_by: Option<u64>,
     requested: Option<Monotonic>,
+    /// When the base's stop was released last.
+    released: Option<Monotonic>,
 }
 
 impl StopFollower {
@@ -42,7 +46,7 @@ impl StopFollower {
         if !state.is_stopped {
             let is_released = self.stopped_by == Some(base);
             if is_released {
-                (self.stopped_by, self.requested) = (None, None);
+                (self.stopped_by, self.requested, self.released) = (None, None, Some(now));
             }
             return is_released.then_some(StopRequest::Release);
         }
@@ -50,6 +54,7 @@ impl StopFollower {
         if self.stopped_by.is_none() && is_stopped == Some(true) {
             return None;
         }
+        self.released = None;
         let is_new = self.stopped_by.replace(base) != Some(base);
         let is_due = self.requested.is_none_or(|at| now.since(at) >= REPEAT_PERIOD.as_nanos() as u64);
         let is_requested = is_new || (is_stopped != Some(true) && is_due);
@@ -57,6 +62,13 @@ impl StopFollower {
             self.requested = Some(now);
         }
         is_requested.then_some(StopRequest::Set)
+    }
+
+    /// Returns whether a stop that holds is the robot's own: the base of this session cannot release it. A stop that was just
+    /// released holds for a moment longer.
+    pub fn is_own(&self, base: Option<u64>, now: Monotonic) -> bool {
+        let is_being_released = self.released.is_some_and(|at| now.since(at) < RELEASE_MAX.as_nanos() as u64);
+        !is_being_released && (self.stopped_by.is_none() || self.stopped_by != base)
     }
 }
 
@@ -73,6 +85,7 @@ mod tests {
         let mut follower = StopFollower::default();
         assert_eq!(follower.follow(1, said(true), Some(true), Monotonic(1)), None, "it is stopped");
         assert_eq!(follower.follow(1, said(false), Some(true), Monotonic(2)), None, "and not by the base");
+        assert!(follower.is_own(Some(1), Monotonic(3)));
     }
 
     #[test]
@@ -81,10 +94,13 @@ mod tests {
         assert_eq!(follower.follow(1, said(false), Some(false), Monotonic(1)), None, "nothing to release");
         assert_eq!(follower.follow(1, said(true), Some(false), Monotonic(2)), Some(StopRequest::Set));
         assert_eq!(follower.follow(1, said(true), Some(true), Monotonic(3)), None, "once while it holds");
+        assert!(!follower.is_own(Some(1), Monotonic(3)) && follower.is_own(Some(2), Monotonic(3)));
         // Another base leads now, which never stopped anything.
         assert_eq!(follower.follow(2, said(false), Some(true), Monotonic(4)), None);
         assert_eq!(follower.follow(1, BaseState::default(), Some(true), Monotonic(5)), None, "not known");
         assert_eq!(follower.follow(1, said(false), Some(true), Monotonic(6)), Some(StopRequest::Release));
+        assert!(!follower.is_own(Some(1), Monotonic(7)), "its bridge is about to release it");
+        assert!(follower.is_own(Some(1), Monotonic(3_000_000_000)), "it does not");
     }
 
     #[test]

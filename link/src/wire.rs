@@ -29,6 +29,8 @@ pub const PAGES_MAX: u16 = 64;
 pub struct Envelope {
     /// Session of the sender: a random number that it keeps until its process ends.
     pub session: u64,
+    /// Session of the peer that the sender has accepted and answers; 0: none yet.
+    pub to: u64,
     /// Time of sending, on the sender's clock.
     pub sent: Monotonic,
     /// Time of sending of the newest message that the sender got from this peer, on the peer's clock; 0: none yet.
@@ -60,6 +62,9 @@ pub enum Message {
     Acknowledgement(Vec<Receipt>),
 }
 
+/// Value of [`RobotState::interruptions`] while the robot's bridge has not answered yet.
+pub const INTERRUPTIONS_UNKNOWN: u32 = u32::MAX;
+
 /// State of a robot's link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RobotState {
@@ -71,6 +76,14 @@ pub struct RobotState {
     pub waiting: u32,
     /// Whether the robot's own emergency stop is set.
     pub is_stopped: bool,
+    /// Whether that stop is not the base's, which therefore cannot release it.
+    pub is_own_stop: bool,
+    /// Whether a person drives the robot at its own machine.
+    pub is_driven_by_hand: bool,
+    /// Whether the base's velocities arrive too late to be obeyed.
+    pub is_late: bool,
+    /// Number of stops and of drives by hand at the robot's machine; a change ends a drive of the base to a goal.
+    pub interruptions: u32,
 }
 
 /// State of the base's link.
@@ -149,6 +162,7 @@ impl Envelope {
         let mut to = Vec::with_capacity(64);
         to.extend([VERSION, self.message.kind() as u8]);
         to.extend(self.session.to_le_bytes());
+        to.extend(self.to.to_le_bytes());
         to.extend(self.sent.0.to_le_bytes());
         to.extend(self.answers.0.to_le_bytes());
         self.message.write(&mut to);
@@ -166,10 +180,11 @@ impl Envelope {
             return Err(WireError::Version(version));
         }
         let kind = Kind::from_code(kind).ok_or(WireError::Kind(kind))?;
-        let (session, sent, answers) = (from.u64()?, Monotonic(from.u64()?), Monotonic(from.u64()?));
+        let (session, to) = (from.u64()?, from.u64()?);
+        let (sent, answers) = (Monotonic(from.u64()?), Monotonic(from.u64()?));
         let message = Message::read(kind, &mut from)?;
         if from.bytes.is_empty() {
-            Ok(Self { session, sent, answers, message })
+            Ok(Self { session, to, sent, answers, message })
         } else {
             Err(WireError::Length(bytes.len()))
         }
@@ -183,7 +198,9 @@ impl Message {
                 to.extend(state.list_of.to_le_bytes());
                 to.extend(state.run.to_le_bytes());
                 to.extend(state.waiting.to_le_bytes());
-                to.push(state.is_stopped.into());
+                let flags = [state.is_stopped, state.is_own_stop, state.is_driven_by_hand, state.is_late];
+                to.extend(flags.map(u8::from));
+                to.extend(state.interruptions.to_le_bytes());
             }
             Self::BaseState(state) => {
                 to.extend([u8::from(state.is_stopped), u8::from(state.is_known)]);
@@ -220,6 +237,10 @@ impl Message {
                 run: from.u32()?,
                 waiting: from.u32()?,
                 is_stopped: from.flag().ok_or(wrong)?,
+                is_own_stop: from.flag().ok_or(wrong)?,
+                is_driven_by_hand: from.flag().ok_or(wrong)?,
+                is_late: from.flag().ok_or(wrong)?,
+                interruptions: from.u32()?,
             }),
             Kind::BaseState => Self::BaseState(BaseState {
                 is_stopped: from.flag().ok_or(wrong)?,

@@ -1,7 +1,9 @@
 //! A robot's end and the base's end, joined by a link that is cut, delays, and is taken over.
 
 use link::leadership::SILENCE_MAX;
-use link::{BaseEnd, BaseEvent, Kind, RobotEnd, RobotEvent, ScanRate, SenderConfig, StopRequest};
+use link::{
+    BaseEnd, BaseEvent, Kind, LocalControl, RobotEnd, RobotEvent, ScanRate, SenderConfig, StopRequest,
+};
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
     IndexRect, MapHeader, Monotonic, Pose2, PoseEstimate, Scan, Stamp, Submap, SubmapPoses, TileMap,
@@ -120,7 +122,10 @@ impl Machines {
             if self.now_ms.is_multiple_of(100) && self.robot.is_scan_wanted(now) {
                 self.robot.put_scan(&scan(), now);
             }
-            self.robot.set_stopped(Some(self.is_stopped));
+            self.robot.set_local_control(LocalControl {
+                is_stopped: Some(self.is_stopped),
+                ..LocalControl::default()
+            });
             self.robot.poll(now, &mut |_, bytes: &[u8]| up.push(bytes.to_vec()));
             let down = self.base_messages();
             if !self.is_cut {

@@ -15,7 +15,7 @@ use msg::{
 use proptest::prelude::*;
 
 fn envelope(message: Message) -> Envelope {
-    Envelope { session: 3, sent: Monotonic(5), answers: Monotonic(4), message }
+    Envelope { session: 3, to: 8, sent: Monotonic(5), answers: Monotonic(4), message }
 }
 
 fn scan(beams: usize) -> DecimatedScan {
@@ -49,7 +49,15 @@ fn messages() -> Vec<Message> {
         bytes: vec![7; len],
     };
     vec![
-        Message::RobotState(RobotState { list_of: 9, run: 7, waiting: 3, is_stopped: true }),
+        Message::RobotState(RobotState {
+            list_of: 9,
+            run: 7,
+            waiting: 3,
+            is_stopped: true,
+            is_late: true,
+            interruptions: 5,
+            ..RobotState::default()
+        }),
         Message::BaseState(BaseState { is_stopped: true, is_known: false, scans: None }),
         Message::BaseState(BaseState { scans: Some(ScanRate::new(5.0, 180)), ..BaseState::default() }),
         Message::Scan(Box::new(scan(SCAN_BEAMS_MAX))),

@@ -63,7 +63,7 @@ pub use motion::{
 };
 pub use navigation::{
     GOAL_POSES_MAX, NavigationAction, NavigationCommand, NavigationFrame, NavigationPlan, NavigationPose,
-    NavigationReport, NavigationStatus, PLAN_POINTS_MAX,
+    NavigationReport, NavigationStatus, PLAN_POINTS_MAX, PauseReason, RobotHold,
 };
 pub use pose::Pose2;
 pub use rect::IndexRect;
@@ -152,5 +152,6 @@ messages!(
     ExplorationReport,
     ZoneCommand,
     ExclusionZones,
-    ScanDemand
+    ScanDemand,
+    RobotHold
 );

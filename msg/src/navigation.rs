@@ -22,6 +22,55 @@ pub enum NavigationAction {
     Resume = 4,
 }
 
+/// Why a robot's goal is paused, or a robot on another machine does not follow the base.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u32)]
+pub enum PauseReason {
+    /// A person drives the robot or has stopped it.
+    #[default]
+    Person = 0,
+    /// On a robot's machine: the base drives the robot.
+    Base = 1,
+    /// At the base: the emergency stop of the robot's own machine is set.
+    StoppedAtRobot = 2,
+    /// At the base: a person drives the robot at its own machine.
+    DrivenAtRobot = 3,
+    /// At the base: the robot was stopped or driven by hand at its own machine, and is not any more.
+    InterruptedAtRobot = 4,
+    /// At the base: velocities reach the robot too late to be obeyed.
+    LateVelocities = 5,
+}
+
+impl PauseReason {
+    /// Decodes a reason; `None` for an unknown code.
+    pub fn from_code(code: u32) -> Option<Self> {
+        use PauseReason::{Base, DrivenAtRobot, InterruptedAtRobot, LateVelocities, Person, StoppedAtRobot};
+        [Person, Base, StoppedAtRobot, DrivenAtRobot, InterruptedAtRobot, LateVelocities]
+            .into_iter()
+            .find(|reason| *reason as u32 == code)
+    }
+
+    /// Returns the sentence that people read, within [`REASON_BYTES_MAX`] bytes.
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::Person => "a person drives or has stopped the robot; resume, or send a new goal",
+            Self::Base => "the base drives the robot; resume, or send a new goal",
+            Self::StoppedAtRobot => {
+                "the robot is stopped at its own machine; `mr-slam release` there, then resume, or send a new goal"
+            }
+            Self::DrivenAtRobot => {
+                "a person drives the robot at its own machine; resume afterwards, or send a new goal"
+            }
+            Self::InterruptedAtRobot => {
+                "the robot was stopped or driven by hand at its own machine; resume, or send a new goal"
+            }
+            Self::LateVelocities => {
+                "the link is too slow: velocities reach the robot more than 0.5 s late; resume when it is faster"
+            }
+        }
+    }
+}
+
 /// Frame that the poses of a goal are in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
@@ -64,6 +113,10 @@ pub struct NavigationCommand {
     pub frame_robot: u32,
     /// Number of `poses` in use. Read them by [`NavigationCommand::poses`].
     pub len: u32,
+    /// Code of a [`PauseReason`], if the action is to pause.
+    pub pause_reason: u32,
+    /// Padding, always zero.
+    pub reserved: u32,
     /// Who sent it.
     pub sender: CommandSource,
     /// Storage of the poses. Read it by [`NavigationCommand::poses`].
@@ -80,6 +133,11 @@ impl NavigationCommand {
     /// A command without poses.
     pub fn new(number: u64, action: NavigationAction) -> Self {
         Self { number, action: action as u32, ..Self::default() }
+    }
+
+    /// A pause with its reason.
+    pub fn pause(number: u64, reason: PauseReason) -> Self {
+        Self { pause_reason: reason as u32, ..Self::new(number, NavigationAction::Pause) }
     }
 
     /// A goal; poses beyond the [`GOAL_POSES_MAX`]th are left out.
@@ -228,6 +286,27 @@ impl NavigationReport {
     /// Sets the reason, cut to 128 bytes at the end of a character.
     pub fn set_reason(&mut self, reason: &str) {
         self.reason_len = bounded_text::write(reason, &mut self.reason);
+    }
+}
+
+/// Whether a robot on another machine follows the base, as its machine says. Only the base has it.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct RobotHold {
+    /// Header whose `stamp` is not used.
+    pub header: Header,
+    /// Number of stops and of drives by hand at the robot's machine that the base knows of. Each ends a drive to a goal.
+    pub interruptions: u64,
+    /// Code of a [`PauseReason`]; 0: nothing is known to hold the robot.
+    pub reason: u32,
+    /// Padding, always zero.
+    pub reserved: u32,
+}
+
+impl RobotHold {
+    /// Returns why the robot does not follow the base; `None` if nothing is known to hold it.
+    pub fn reason(&self) -> Option<PauseReason> {
+        PauseReason::from_code(self.reason).filter(|reason| *reason != PauseReason::Person)
     }
 }
 

@@ -9,6 +9,10 @@ use std::net::IpAddr;
 pub struct BridgeState {
     /// Whether the emergency stop is set.
     pub stopped: bool,
+    /// Number of stops, and of times that a client has begun to drive, since the bridge's start.
+    pub interruptions: u64,
+    /// Whether a client drives a robot now.
+    pub driven_by_client: bool,
     /// Number of the robot that `/cmd_vel` drives.
     pub selected: usize,
     /// Addresses that asked to drive and wait for an answer, in the order in which they asked.

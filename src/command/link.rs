@@ -5,22 +5,33 @@ use super::Error;
 use super::up::{FleetHooks, UpArgs, run_or_detach};
 use crate::clock::now;
 use crate::config::RobotSource;
+use crate::process::link::LinkReport;
+use crate::progress;
 use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
 use crate::run::Run;
+use crate::supervisor::{START_MAX, describe_finding};
+use crate::watchdog::{Finding, Watchdog};
 use link_transport::Endpoint;
 use link_transport::keys::{KeyFiles, KeyOwner};
 #[cfg(feature = "link")]
 use link_transport::{SessionConfig, SessionRole};
+use msg::Monotonic;
 use std::io;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::time::Duration;
 
 /// Endpoint at which a base listens if nothing else is given.
 const LISTEN_DEFAULT: &str = "quic/0.0.0.0:7447";
 /// Period at which a router, or a link that is not connected yet, looks whether it is to end.
 #[cfg(feature = "link")]
-const SESSION_POLL: std::time::Duration = std::time::Duration::from_millis(20);
+const SESSION_POLL: Duration = Duration::from_millis(20);
+
+/// Silence of the link's process after which it is judged: it writes its report once a second.
+const SILENCE_MAX: Duration = Duration::from_secs(3);
+/// Period at which the report is looked at.
+const REPORT_POLL: Duration = Duration::from_millis(200);
 
 /// Reason why a machine cannot take part in a fleet on several machines.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -252,10 +263,12 @@ pub fn run(args: &LinkArgs) -> Result<(), Error> {
     let over = || stop.requested();
     // It waits for the other machine, maybe for ever, and cannot be asked to end.
     let opening = std::thread::spawn(move || ZenohTransport::open(&config));
+    let mut report = link::OpeningReport::new(&run);
     while !opening.is_finished() {
         if over() {
             return Ok(());
         }
+        report.update(&run);
         std::thread::sleep(SESSION_POLL);
     }
     let transport = opening.join().map_err(|_| LinkArgsError::Panic)??;
@@ -284,13 +297,26 @@ struct LinkProcess {
     run: Option<Run>,
     child: Option<Child>,
     policy: RestartPolicy,
+    watchdog: Watchdog,
+    /// Time at which the process's report is looked at next.
+    report_due: Monotonic,
 }
 
 impl LinkProcess {
     /// Creates a base's process without a key, which is not started yet.
     fn new(endpoint: Endpoint) -> Self {
         let policy = RestartPolicy::new(now());
-        Self { endpoint, name: None, behind_router: false, keys: None, run: None, child: None, policy }
+        Self {
+            endpoint,
+            name: None,
+            behind_router: false,
+            keys: None,
+            run: None,
+            child: None,
+            policy,
+            watchdog: Watchdog::new(START_MAX, SILENCE_MAX, now()),
+            report_due: Monotonic(0),
+        }
     }
 
     fn start(&mut self) -> io::Result<()> {
@@ -310,7 +336,27 @@ impl LinkProcess {
         // A process group of its own: Ctrl-C reaches the launcher alone.
         self.child = Some(command.stdin(Stdio::null()).process_group(0).spawn()?);
         self.policy.on_started(now());
+        self.watchdog = Watchdog::new(START_MAX, SILENCE_MAX, now());
         Ok(())
+    }
+
+    /// Kills the process if it hangs, so that it is started again: it writes its report once a second.
+    fn end_if_hung(&mut self, tell: &mut dyn FnMut(String)) {
+        let (Some(run), Some(child)) = (&self.run, &mut self.child) else { return };
+        if now() < self.report_due {
+            return;
+        }
+        self.report_due = now() + REPORT_POLL;
+        let id = child.id();
+        let report = LinkReport::read(&run.dir).unwrap_or_default();
+        let count = if report.process == id { report.written_ns } else { 0 };
+        let finding = self.watchdog.poll(now(), count, || progress::sample(id, id));
+        let Some(finding) = finding else { return };
+        tell(describe_finding("the link", finding));
+        if matches!(finding, Finding::Hung { .. }) {
+            // Its end is noticed as any other.
+            let _ = child.kill();
+        }
     }
 
     fn record_death(&mut self, tell: &mut dyn FnMut(String)) {
@@ -332,6 +378,7 @@ impl FleetHooks for LinkProcess {
             tell(format!("the link ended ({status})"));
             self.record_death(tell);
         }
+        self.end_if_hung(tell);
         if self.child.is_none()
             && self.policy.is_due(now())
             && let Err(why) = self.start()

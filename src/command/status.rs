@@ -2,12 +2,15 @@
 
 use super::output;
 use super::run_args::RunArgs;
+use crate::config::RobotSource;
 use crate::control::{self, Request};
 use crate::observer::Observer;
 use crate::ports::ChannelError;
+use crate::process::link::{LinkReport, PeerReport};
 use crate::run::{Run, RunError};
 use crate::terminal;
 use reports::FleetView;
+use serde::Serialize;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -48,14 +51,54 @@ pub enum StatusError {
 /// Prints the newest figures of a running fleet.
 pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
     let run = args.run.open()?;
-    let fleet = newest_figures(&run)?;
+    let (fleet, link) = (newest_figures(&run)?, link_figures(&run));
     let text = || {
         let age_s = crate::clock::now().since(run.begun) as f64 * 1e-9;
         let heading = format!("run {} on port {}, {age_s:.0} s\n", run.dir.display(), run.port);
         let style = terminal::style(&std::io::stdout());
-        format!("{heading}{}\n{}", fleet.table(&style), fleet.process_table(&style))
+        let link: String = link.iter().flatten().filter_map(line).collect();
+        format!("{heading}{link}{}\n{}", fleet.table(&style), fleet.process_table(&style))
     };
-    Ok(output::print_either(args.json, &fleet, text)?)
+    Ok(output::print_either(args.json, &Status { fleet: &fleet, link: link.as_deref() }, text)?)
+}
+
+/// Figures of a fleet, at a base with those of the link to each robot.
+#[derive(Serialize)]
+struct Status<'a> {
+    #[serde(flatten)]
+    fleet: &'a FleetView,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    link: Option<&'a [PeerReport]>,
+}
+
+/// Age of the link's report above which the link's process does not work: it writes one each second.
+const REPORT_AGE_MAX: Duration = Duration::from_secs(3);
+
+/// Returns the figures of the link to each robot; `None` where the robots are on this machine.
+fn link_figures(run: &Run) -> Option<Vec<PeerReport>> {
+    if run.config.world != RobotSource::Robots {
+        return None;
+    }
+    let report = LinkReport::read(&run.dir).unwrap_or_default();
+    let age = Duration::from_nanos(crate::clock::now().0.saturating_sub(report.written_ns));
+    let mut peers = report.peers;
+    if age > REPORT_AGE_MAX {
+        peers.iter_mut().for_each(|peer| peer.is_heard = false);
+    }
+    Some(peers)
+}
+
+/// Says why a robot on another machine does not do what the base wants; `None` if it does.
+fn line(peer: &PeerReport) -> Option<String> {
+    let mut why = Vec::new();
+    if peer.was_heard && !peer.is_heard {
+        why.push("is not heard");
+    }
+    why.extend(peer.hold.as_deref());
+    if peer.is_contested {
+        why.push("another machine bears this name, too, and is refused");
+    }
+    (!why.is_empty()).then(|| format!("{}: {}\n", peer.robot, why.join("; ")))
 }
 
 fn newest_figures(run: &Run) -> Result<FleetView, StatusError> {

@@ -78,6 +78,10 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
             };
             feeds.push(forward(ports, &bridge, &channel::slam_response(robot), receive)?);
             feeds.push(navigation_velocities(ports, &bridge, robot)?);
+            // A machine that joins a base has one robot.
+            if run.config.world != RobotSource::Robots && run.config.fleet.robots == 1 {
+                feeds.push(base_velocities(ports, &bridge, robot)?);
+            }
         }
         let (clock, bridge_of_tasks) = (ports.clock(), bridge.clone());
         let periodic_tasks =
@@ -164,6 +168,17 @@ fn navigation_velocities<P: Ports>(ports: &P, bridge: &Rc<Bridge>, robot: RobotI
         let now = clock.now();
         if now.since(command.header.sent) <= NAVIGATION_AGE_MAX.as_nanos() as u64 {
             bridge.receive_navigation_velocity(robot, command, now);
+        }
+    })
+}
+
+/// Passes the base's velocities for the robot of this machine to the gate, but for those that have waited too long.
+fn base_velocities<P: Ports>(ports: &P, bridge: &Rc<Bridge>, robot: RobotId) -> FeedResult<P> {
+    let clock = ports.clock();
+    forward(ports, bridge, &channel::base_velocity(robot), move |bridge: &Bridge, command| {
+        let now = clock.now();
+        if now.since(command.header.sent) <= NAVIGATION_AGE_MAX.as_nanos() as u64 {
+            bridge.receive_base_velocity(robot, command, now);
         }
     })
 }

@@ -145,6 +145,8 @@ impl<W: FileWorker> Control<W> {
     fn bridge_state(&self, now: Monotonic) -> BridgeState {
         BridgeState {
             stopped: self.bridge.is_stopped(),
+            interruptions: self.bridge.interruptions(),
+            driven_by_client: self.bridge.is_driven_by_client(now),
             selected: self.bridge.selected_robot().number(),
             waiting: self.bridge.waiting_addresses(),
             allowed: self.bridge.allowed_addresses(),

@@ -23,6 +23,7 @@ use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
 use crate::shared_memory::{Listener, Participant, wait};
 use ::link::WireError;
+use msg::Monotonic;
 use std::time::Duration;
 
 /// Longest time until a message of the other machine is read: the transport wakes nobody.
@@ -52,12 +53,13 @@ pub fn serve_link(
     link: &mut (impl ProcessLoop + Listens<Listener> + ReportLink),
     over: &dyn Fn() -> bool,
 ) {
-    let (mut report_due, mut has_warned) = (now() + REPORT_PERIOD, false);
+    let heard_before = LinkReport::heard_before(run);
+    let (mut report_due, mut has_warned) = (now(), false);
     while !over() {
         let due = link.step();
         if now() >= report_due {
             report_due = now() + REPORT_PERIOD;
-            if let Err(why) = link.report().write(run)
+            if let Err(why) = link.report().write(run, &heard_before)
                 && !has_warned
             {
                 has_warned = true;
@@ -65,6 +67,29 @@ pub fn serve_link(
             }
         }
         wait(link.listeners(), due);
+    }
+}
+
+/// Says that the link's process works while it is not connected yet. Call it often.
+#[derive(Debug)]
+pub struct OpeningReport {
+    heard_before: Vec<String>,
+    due: Monotonic,
+}
+
+impl OpeningReport {
+    /// Begins with the robots that an earlier process of this run had heard.
+    pub fn new(run: &Run) -> Self {
+        Self { heard_before: LinkReport::heard_before(run), due: Monotonic(0) }
+    }
+
+    /// Writes the report if it is due.
+    pub fn update(&mut self, run: &Run) {
+        if now() >= self.due {
+            self.due = now() + REPORT_PERIOD;
+            // The launcher notices if none is written.
+            let _ = LinkReport::default().write(run, &self.heard_before);
+        }
     }
 }
 

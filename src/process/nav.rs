@@ -4,6 +4,7 @@
 //! While no robot has a goal it reads no sensor, draws no plan and waits for the next command.
 
 mod exploration;
+mod holds;
 mod inputs;
 mod outputs;
 pub mod state_file;
@@ -23,10 +24,11 @@ use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
 use ::nav::{FleetNavigator, GoalFrame, GoalPose, NavigationGoal, NavigationState, NavigatorConfig};
 use exploration::Exploration;
+use holds::Holds;
 use inputs::Inputs;
 use msg::{
-    Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, Pose2, RobotId, Role,
-    ScanPurpose,
+    Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, PauseReason, Pose2,
+    RobotId, Role, ScanPurpose,
 };
 use outputs::{Decision, RobotOutputs};
 use state_file::{NavigationFile, SavedGoal, SavedState, StateWriter};
@@ -56,6 +58,7 @@ pub struct NavigationProcess<P: Ports, W> {
     robots: Vec<RobotChannels<P>>,
     exploration: Exploration<P>,
     zones: Zones<P>,
+    holds: Holds<P>,
     saved: StateWriter<W>,
     scan_demand: ScanDemandSender<P>,
     heartbeat: Heartbeat<P>,
@@ -78,6 +81,8 @@ struct RobotChannels<P: Ports> {
     goal: u64,
     /// Why the newest goal was refused.
     refusal: Option<&'static str>,
+    /// Why the goal was paused last.
+    pause_reason: PauseReason,
 }
 
 impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
@@ -99,6 +104,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
                 newest: 0,
                 goal: 0,
                 refusal: None,
+                pause_reason: PauseReason::Person,
             })
         };
         let of_robots = run.robots().map(|robot| ports.listener(&channel::goal(robot)));
@@ -110,6 +116,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
             robots: run.robots().map(channels).collect::<Result<_, crate::ports::ChannelError>>()?,
             exploration: Exploration::open(ports, run)?,
             zones: Zones::open(ports)?,
+            holds: Holds::open(ports, run)?,
             saved: StateWriter::new(start_files(file)?, saved.clone().unwrap_or_default()),
             scan_demand: ScanDemandSender::open(ports, run, ScanPurpose::Navigation)?,
             heartbeat: Heartbeat::new(ports, run, Role::Nav, None)?,
@@ -221,8 +228,8 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
                 self.navigator.cancel(robot);
             }
             Some(NavigationAction::Pause) => {
-                self.exploration.set_manual(robot, false);
-                self.navigator.pause(robot);
+                let reason = PauseReason::from_code(command.pause_reason).unwrap_or_default();
+                self.pause(robot, reason);
             }
             Some(NavigationAction::Resume) => {
                 self.exploration.release_manual(&self.navigator, robot);
@@ -263,6 +270,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
                 has_command: channels.newest != 0,
                 goal: channels.goal,
                 refusal: channels.refusal,
+                pause_reason: channels.pause_reason,
                 in_merged_map: self.inputs.is_merged(channels.robot),
             };
             channels.outputs.publish(stamp, now, &decision);
@@ -309,7 +317,10 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> ProcessLoop for NavigationProcess
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         let was_active = self.is_active();
-        let has_commands = self.receive_commands(now);
+        // A goal that comes after an interruption is not paused by it.
+        let mut has_commands = self.pause_interrupted();
+        has_commands |= self.receive_commands(now);
+        has_commands |= self.pause_held();
         let is_active = self.is_active();
         if is_active && !was_active {
             self.due = now;

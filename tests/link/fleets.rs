@@ -273,10 +273,19 @@ impl Fleet {
         children.split_whitespace().filter_map(|pid| pid.parse().ok()).find(is_link).and_then(Pid::from_raw)
     }
 
-    /// Stops the link's process, or lets it go on.
+    /// Stops the link's process, or lets it go on; the launcher, too, which would replace it.
     pub fn freeze_link(&self, is_frozen: bool) {
         let link = until("there is a link", LIMIT, || self.link());
-        kill_process(link, if is_frozen { Signal::STOP } else { Signal::CONT }).unwrap();
+        let signal = if is_frozen { Signal::STOP } else { Signal::CONT };
+        let launcher = Pid::from_raw(self.launcher.id() as i32).unwrap();
+        for process in if is_frozen { [launcher, link] } else { [link, launcher] } {
+            kill_process(process, signal).unwrap();
+        }
+    }
+
+    /// Stops the link's process alone.
+    pub fn hang_link(&self) {
+        kill_process(until("there is a link", LIMIT, || self.link()), Signal::STOP).unwrap();
     }
 
     /// Kills the link's process, and waits for the next one.

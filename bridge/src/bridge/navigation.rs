@@ -29,6 +29,24 @@ impl Bridge {
         });
     }
 
+    /// Handles a velocity of the base, on the machine of its robot.
+    pub fn receive_base_velocity(&self, robot: RobotId, command: &VelocityCommand, now: Monotonic) {
+        self.update(|core| {
+            core.commands.set_sender(CommandSource::NAVIGATION);
+            core.receive_base_velocity(robot, command, now);
+        });
+    }
+
+    /// Returns the number of stops, and of times that a client has begun to drive, since the start.
+    pub fn interruptions(&self) -> u64 {
+        self.core.borrow().gate.drive().interruptions()
+    }
+
+    /// Returns whether a client drives a robot now.
+    pub fn is_driven_by_client(&self, now: Monotonic) -> bool {
+        self.core.borrow().gate.drive().is_driven_by_client(now)
+    }
+
     /// Passes on what clients want of the navigator.
     pub(super) fn pass_navigation_commands(&self) {
         if let Ok(mut sink) = self.on_navigation.try_borrow_mut() {

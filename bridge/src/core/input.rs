@@ -292,7 +292,8 @@ impl Core {
                 self.pause_if_moving(robot, passed, now);
                 Ok(())
             }
-            GateDecision::Ignored => Ok(()),
+            // A client never gives way to the base.
+            GateDecision::Ignored | GateDecision::DrivenByBase => Ok(()),
             GateDecision::NotFinite => Err(InputError::NotFinite),
             GateDecision::Stopped => Err(InputError::EmergencyStop),
             GateDecision::DrivenBy(holder) => {

@@ -10,7 +10,7 @@ use crate::world::{TransformError, floor_pose};
 use msg::{
     CommandSource, ExclusionZone, ExplorationAction, ExplorationCommand, ExplorationReport, GOAL_POSES_MAX,
     Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport,
-    NavigationStatus, RobotFrame, RobotId, VelocityCommand, ZoneCommand, ZoneError,
+    NavigationStatus, PauseReason, RobotFrame, RobotId, VelocityCommand, ZoneCommand, ZoneError,
 };
 use ros_messages::names::{FleetFrame, MAP};
 use ros_messages::read::Transform;
@@ -234,12 +234,22 @@ impl Core {
 
     /// Pauses the navigation of robots that the navigator drives, because a person drives or stops them.
     pub(super) fn pause_navigation(&mut self, robots: impl IntoIterator<Item = RobotId>) {
+        self.pause_navigation_because(robots, PauseReason::Person);
+    }
+
+    /// Pauses the navigation of robots that the navigator drives.
+    pub(super) fn pause_navigation_because(
+        &mut self,
+        robots: impl IntoIterator<Item = RobotId>,
+        reason: PauseReason,
+    ) {
         for robot in robots {
             let drive = self.gate.drive_mut();
             if drive.is_navigated(robot) || drive.is_exploring(robot) {
                 drive.set_navigated(robot, false);
                 drive.set_exploring(robot, false);
-                self.command_navigation(robot, NavigationAction::Pause);
+                let number = self.commands.next_navigation_number();
+                self.commands.push_navigation(robot, NavigationCommand::pause(number, reason));
             }
         }
     }
@@ -266,11 +276,27 @@ impl Core {
         let decision = self.gate.request_navigation(robot, velocity, now);
         self.send_velocities();
         // The navigator's last zero after a pause is refused too, and needs no other pause.
-        let is_refused = matches!(decision, GateDecision::Stopped | GateDecision::DrivenBy(_));
-        if is_refused && velocity != Velocity::ZERO {
+        let reason = match decision {
+            GateDecision::Stopped | GateDecision::DrivenBy(_) => PauseReason::Person,
+            GateDecision::DrivenByBase => PauseReason::Base,
+            _ => return,
+        };
+        if velocity != Velocity::ZERO {
             self.gate.drive_mut().set_navigated(robot, true);
             self.commands.record_time(now);
-            self.pause_navigation([robot]);
+            self.pause_navigation_because([robot], reason);
+        }
+    }
+
+    /// Handles a velocity of the base on another machine: it passes the gate as all others, gives way to every person here,
+    /// and pauses the robot's own navigation.
+    pub fn receive_base_velocity(&mut self, robot: RobotId, command: &VelocityCommand, now: Monotonic) {
+        let velocity = Velocity { linear_m_s: command.linear_m_s, angular_rad_s: command.angular_rad_s };
+        let decision = self.gate.request_base(robot, velocity, now);
+        self.send_velocities();
+        if matches!(decision, GateDecision::Passed(passed) if passed != Velocity::ZERO) {
+            self.commands.record_time(now);
+            self.pause_navigation_because([robot], PauseReason::Base);
         }
     }
 

@@ -80,6 +80,8 @@ pub enum GateDecision {
     Ignored,
     /// It is refused: another client drives the robot.
     DrivenBy(DriveClient),
+    /// It is refused: the base on another machine drives the robot.
+    DrivenByBase,
     /// It is refused: the emergency stop is set.
     Stopped,
     /// It is refused: a component is infinite or not a number.
@@ -164,6 +166,13 @@ impl VelocityGate {
         self.apply(robot, velocity, decision, now)
     }
 
+    /// Decides on one velocity of the base on another machine, and sends it to the robot if it passes.
+    pub fn request_base(&mut self, robot: RobotId, velocity: Velocity, now: Monotonic) -> GateDecision {
+        let Some(velocity) = self.clamp(robot, velocity) else { return GateDecision::NotFinite };
+        let decision = self.drive.decide_base(robot, velocity.is_moving(), now);
+        self.apply(robot, velocity, decision, now)
+    }
+
     /// Returns a velocity within the robot's limits; `None` if a component is infinite or not a number.
     fn clamp(&self, robot: RobotId, velocity: Velocity) -> Option<Velocity> {
         let limits = self.robots.get(robot.index()).map(|state| state.limits);
@@ -184,6 +193,7 @@ impl VelocityGate {
             DriveDecision::Ignore => return GateDecision::Ignored,
             DriveDecision::Stopped => return GateDecision::Stopped,
             DriveDecision::DrivenBy(holder) => return GateDecision::DrivenBy(holder),
+            DriveDecision::DrivenByBase => return GateDecision::DrivenByBase,
         }
         if velocity.is_moving() {
             state.motion = Motion::Driven { until: now + self.timeout };

@@ -4,8 +4,8 @@ mod navigation;
 mod operator;
 
 pub use navigation::{
-    exclusion_zones, exploration_state, explore, goal, navigation_state, navigation_velocity, plan,
-    zone_command,
+    base_velocity, exclusion_zones, exploration_state, explore, goal, hold, navigation_state,
+    navigation_velocity, plan, zone_command,
 };
 
 use super::Endpoint::{External, Of, OfFirst, OfOthers, OtherMachines};
@@ -251,7 +251,7 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
 });
 
 /// All channels of a fleet, in the order of the data flow.
-pub static CHANNELS: [&ChannelRow; 29] = [
+pub static CHANNELS: [&ChannelRow; 31] = [
     &COMMAND.row,
     &SCAN.row,
     &SCAN_DEMAND.row,
@@ -273,6 +273,8 @@ pub static CHANNELS: [&ChannelRow; 29] = [
     &operator::OPERATOR_EVENT.row,
     &navigation::GOAL.row,
     &navigation::NAVIGATION_VELOCITY.row,
+    &navigation::BASE_VELOCITY.row,
+    &navigation::HOLD.row,
     &navigation::NAVIGATION_STATE.row,
     &navigation::PLAN.row,
     &navigation::EXPLORE.row,

@@ -8,6 +8,7 @@ use crate::process::control::saved_state::{latch_stop, stop_file};
 use crate::process::link::{LinkReport, PeerReport};
 use crate::run::{Run, RunError};
 use crate::storage::{DiskStorage, Storage};
+use msg::{Monotonic, PauseReason};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -107,9 +108,10 @@ fn latch(dir: PathBuf) -> Latched {
 }
 
 fn confirm((dir, written): Latched) -> StoppedFleet {
+    let begun = crate::clock::now();
     let asked = match Run::open_running(&dir) {
         Ok(run) => match control::ask(&run, Request::Stop, PATIENCE) {
-            Ok(state) if state.stopped => Ok(unconfirmed_robots(&run)),
+            Ok(state) if state.stopped => Ok(unconfirmed_robots(&run, begun)),
             Ok(_) => Err("the bridge has released it again".to_owned()),
             Err(why) => Err(why.to_string()),
         },
@@ -121,8 +123,8 @@ fn confirm((dir, written): Latched) -> StoppedFleet {
 }
 
 /// Returns the names of the robots on other machines that do not say in time that they are stopped, and of those that the base
-/// has not heard of yet.
-fn unconfirmed_robots(run: &Run) -> [Vec<String>; 2] {
+/// has not heard of yet. What a robot said before the stop was asked for, at `asked`, says nothing of it.
+fn unconfirmed_robots(run: &Run, asked: Monotonic) -> [Vec<String>; 2] {
     if run.config.world != RobotSource::Robots {
         return Default::default();
     }
@@ -131,11 +133,10 @@ fn unconfirmed_robots(run: &Run) -> [Vec<String>; 2] {
         let peers = LinkReport::read(&run.dir).unwrap_or_default().peers;
         let has_stopped = |name: &String| {
             peers.iter().any(|peer: &PeerReport| {
-                peer.robot == *name && peer.is_heard && peer.is_stopped == Some(true)
+                peer.robot == *name && peer.state_ns > asked.0 && peer.is_stopped == Some(true)
             })
         };
-        let was_heard =
-            |name: &String| peers.iter().any(|peer| peer.robot == *name && !peer.bytes.is_empty());
+        let was_heard = |name: &String| peers.iter().any(|peer| peer.robot == *name && peer.was_heard);
         let names = run.robots().map(|robot| run.config.robot_name(robot));
         let (heard, unheard): (Vec<String>, Vec<String>) = names.partition(was_heard);
         let left: Vec<String> = heard.into_iter().filter(|name| !has_stopped(name)).collect();
@@ -146,10 +147,35 @@ fn unconfirmed_robots(run: &Run) -> [Vec<String>; 2] {
     }
 }
 
+/// Returns the names of the robots on other machines that are still stopped by their own machine's stop, which this base
+/// cannot release, and of those that have not said in time that they are released.
+fn robots_after_release(run: &Run, asked: Monotonic) -> [Vec<String>; 2] {
+    if run.config.world != RobotSource::Robots {
+        return Default::default();
+    }
+    let begun = Instant::now();
+    loop {
+        let peers = LinkReport::read(&run.dir).unwrap_or_default().peers;
+        let heard = || peers.iter().filter(|peer| peer.was_heard);
+        let is_own = |peer: &PeerReport| peer.hold.as_deref() == Some(PauseReason::StoppedAtRobot.text());
+        let is_fresh = |peer: &PeerReport| peer.state_ns > asked.0;
+        let is_open = |peer: &PeerReport| !is_fresh(peer) || (peer.is_stopped == Some(true) && !is_own(peer));
+        let names = |is_of: &dyn Fn(&PeerReport) -> bool| {
+            heard().filter(|peer| is_of(peer)).map(|peer| peer.robot.clone()).collect::<Vec<_>>()
+        };
+        let open = names(&is_open);
+        if open.is_empty() || begun.elapsed() >= ROBOTS_PATIENCE {
+            return [names(&|peer| is_fresh(peer) && is_own(peer)), open];
+        }
+        std::thread::sleep(ROBOTS_POLL);
+    }
+}
+
 /// Releases the emergency stop of one fleet, in the bridge or, while there is none, on the disk.
 pub fn release(args: &StopArgs) -> Result<(), PermissionError> {
     let run = args.run.open_to_change()?;
     let fail = |why: String| PermissionError::NotReleased { run: run.dir.display().to_string(), why };
+    let asked = crate::clock::now();
     let state = match control::ask(&run, Request::Release, PATIENCE) {
         Ok(state) if state.stopped => {
             return Err(fail("the emergency stop was set anew meanwhile and holds".into()));
@@ -163,8 +189,9 @@ pub fn release(args: &StopArgs) -> Result<(), PermissionError> {
         }
         Err(why) => return Err(fail(format!("{why}; the emergency stop holds, try again"))),
     };
-    let text = || format!("{state} (run {})\n", run.dir.display());
-    Ok(output::print_either(args.json, &Released { run: &run.dir, state }, text)?)
+    let [still_stopped, unconfirmed] = robots_after_release(&run, asked);
+    let released = Released { run: &run.dir, state, still_stopped, unconfirmed };
+    Ok(output::print_either(args.json, &released, || released.text())?)
 }
 
 /// Result of `mr-slam release`.
@@ -172,4 +199,24 @@ pub fn release(args: &StopArgs) -> Result<(), PermissionError> {
 struct Released<'a> {
     run: &'a std::path::Path,
     state: &'a str,
+    /// Robots on other machines whose own machine's stop is still set.
+    still_stopped: Vec<String>,
+    /// Robots on other machines that have not said that they are released.
+    unconfirmed: Vec<String>,
+}
+
+impl Released<'_> {
+    fn text(&self) -> String {
+        let mut text = self.state.to_owned();
+        if !self.still_stopped.is_empty() {
+            let names = self.still_stopped.join(", ");
+            text += &format!(
+                "; but STILL STOPPED at its own machine: {names}; this base cannot release it, `mr-slam release` there does"
+            );
+        }
+        if !self.unconfirmed.is_empty() {
+            text += &format!("; not confirmed by {}", self.unconfirmed.join(", "));
+        }
+        format!("{text} (run {})\n", self.run.display())
+    }
 }

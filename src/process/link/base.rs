@@ -8,11 +8,11 @@ use crate::ports::{ChannelError, Clock as _, MAP_PAUSE, Ports, ReadPort, WriteMa
 use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
 use ::bridge::world::{ClockOffset, SourceClock};
-use ::link::{BaseEnd, BaseEvent, DecimatedScan};
+use ::link::{BaseEnd, BaseEvent, DecimatedScan, Hold};
 use link_transport::Transport;
 use msg::{
-    Clock, Monotonic, PoseEstimate, RobotId, Scan, Stamp, Submap, SubmapPoses, SubmapRequest, TileMap,
-    Transforms, VelocityCommand,
+    Clock, Monotonic, PoseEstimate, RobotHold, RobotId, Scan, Stamp, Submap, SubmapPoses, SubmapRequest,
+    TileMap, Transforms, VelocityCommand,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -37,6 +37,7 @@ struct Channels<P: Ports> {
     map: P::MapWriter,
     submap: P::Writer<Submap>,
     submap_poses: P::Writer<SubmapPoses>,
+    hold: P::Writer<RobotHold>,
     commands: P::Reader<VelocityCommand>,
     submap_requests: P::Reader<SubmapRequest>,
 }
@@ -50,6 +51,7 @@ impl<P: Ports> Channels<P> {
             map: ports.map_writer(&channel::map(robot))?,
             submap: ports.writer(&channel::submap(robot))?,
             submap_poses: ports.writer(&channel::submap_poses(robot))?,
+            hold: ports.writer(&channel::hold(robot))?,
             commands: ports.reader(&channel::command(robot))?,
             submap_requests: ports.reader(&channel::submap_request(robot))?,
         })
@@ -80,6 +82,15 @@ struct SubmapNumbers {
     run: u32,
 }
 
+/// What log and channel say of a robot at present.
+#[derive(Default)]
+struct Told {
+    is_heard: bool,
+    is_contested: bool,
+    /// `None` before the first.
+    hold: Option<Hold>,
+}
+
 /// Mirror of one robot.
 struct RobotMirror<P: Ports> {
     robot: RobotId,
@@ -89,7 +100,7 @@ struct RobotMirror<P: Ports> {
     clock: SourceClock,
     /// Poses that were published: fewer than the robot's scans.
     pose_estimates: u64,
-    was_heard: bool,
+    told: Told,
     numbers: SubmapNumbers,
     /// Stamp of the newest pose, on the robot's clock.
     newest_pose: Stamp,
@@ -182,7 +193,7 @@ impl<P: Ports> RobotMirror<P> {
             end: BaseEnd::new(session),
             clock: SourceClock::new(ClockOffset::Measured),
             pose_estimates: 0,
-            was_heard: false,
+            told: Told::default(),
             numbers: SubmapNumbers::default(),
             newest_pose: Stamp(0),
             late_scans: 0,
@@ -274,13 +285,37 @@ impl<P: Ports> RobotMirror<P> {
         });
     }
 
-    /// Sends what is due to the robot.
-    fn send(&mut self, transport: &mut impl Transport, now: Monotonic) {
-        let is_heard = self.end.is_heard(now);
-        if self.was_heard && !is_heard {
+    /// Says in the log what is new of the robot, and to navigation whether it follows.
+    fn tell(&mut self, now: Monotonic) {
+        let (is_heard, is_contested) = (self.end.is_heard(now), self.end.is_contested(now));
+        if self.told.is_heard && !is_heard {
             tracing::warn!("{} is not heard any more; its map stays as it is", self.name);
         }
-        self.was_heard = is_heard;
+        if !self.told.is_contested && is_contested {
+            tracing::warn!(
+                "another machine bears the name {}, too: it is refused; give each robot a name of its own",
+                self.name
+            );
+        }
+        let hold = self.end.hold();
+        if self.told.hold == Some(hold) || self.end.state_received() == Monotonic(0) {
+            self.channels.hold.refresh();
+        } else {
+            let before = self.told.hold.and_then(|hold| hold.reason);
+            if let Some(reason) = hold.reason.filter(|reason| before != Some(*reason)) {
+                tracing::warn!("{}: {}", self.name, reason.text());
+            }
+            let reason = hold.reason.map_or(0, |reason| reason as u32);
+            let interruptions = hold.interruptions;
+            self.channels.hold.send(&RobotHold { interruptions, reason, ..RobotHold::default() });
+            self.told.hold = Some(hold);
+        }
+        (self.told.is_heard, self.told.is_contested) = (is_heard, is_contested);
+    }
+
+    /// Sends what is due to the robot.
+    fn send(&mut self, transport: &mut impl Transport, now: Monotonic) {
+        self.tell(now);
         let index = self.robot.index();
         let mut send = |kind, bytes: &[u8]| transport.send(index, kind, bytes);
         if let Some(command) = self.channels.commands.newest() {

@@ -1,6 +1,7 @@
 //! Figures of the link: `link.json` in the run's folder, written once a second.
 
 use super::{BaseLink, RobotLink, StopControl};
+use crate::clock::now;
 use crate::ports::Ports;
 use crate::run::Run;
 use ::link::ByteCounters;
@@ -15,6 +16,7 @@ const BYTES_MAX: u64 = 256 << 10;
 
 /// Figures of the link to one peer.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct PeerReport {
     /// Name of the robot.
     pub robot: String,
@@ -28,13 +30,28 @@ pub struct PeerReport {
     pub refused: u64,
     /// Scans that the base dropped because the link delivered them late.
     pub late_scans: u64,
+    /// At the base: why the robot does not follow it.
+    pub hold: Option<String>,
+    /// At the base: another machine bears the robot's name, too, and is refused.
+    pub is_contested: bool,
+    /// On a robot's machine: velocities of the base that came too late to be obeyed.
+    pub late_velocities: u64,
+    /// At the base: when the robot's newest state arrived, by the machine's clock, nanoseconds; 0: never.
+    pub state_ns: u64,
+    /// Whether the peer was ever heard in this run.
+    pub was_heard: bool,
     /// Bytes from the robot to the base by kind of message, as this end counts them.
     pub bytes: BTreeMap<String, u64>,
 }
 
 /// Figures of a machine's link.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct LinkReport {
+    /// When it was written, by the machine's clock, nanoseconds: it is written once a second.
+    pub written_ns: u64,
+    /// Process that has written it.
+    pub process: u32,
     /// One for each robot.
     pub peers: Vec<PeerReport>,
 }
@@ -46,9 +63,27 @@ impl LinkReport {
         serde_json::from_str(&text).map_err(io::Error::other)
     }
 
-    /// Writes the report of a run.
-    pub(super) fn write(&self, run: &Run) -> io::Result<()> {
-        let json = serde_json::to_string_pretty(self).unwrap_or_default();
+    /// Returns the robots that an earlier process of this run had heard.
+    pub(super) fn heard_before(run: &Run) -> Vec<String> {
+        let before = Self::read(&run.dir).unwrap_or_default();
+        let is_of_run = before.written_ns >= run.begun.0;
+        let heard = before.peers.into_iter().filter(|peer| is_of_run && peer.was_heard);
+        heard.map(|peer| peer.robot).collect()
+    }
+
+    /// Writes the report of a run, with the time and those that were heard before.
+    pub(super) fn write(mut self, run: &Run, heard_before: &[String]) -> io::Result<()> {
+        (self.written_ns, self.process) = (now().0, std::process::id());
+        for name in heard_before {
+            match self.peers.iter_mut().find(|peer| peer.robot == *name) {
+                Some(peer) => peer.was_heard = true,
+                None => {
+                    let robot = name.clone();
+                    self.peers.push(PeerReport { robot, was_heard: true, ..PeerReport::default() });
+                }
+            }
+        }
+        let json = serde_json::to_string_pretty(&self).unwrap_or_default();
         formats::atomic::write(&path(&run.dir), |file| file.write_all(json.as_bytes()))
     }
 }
@@ -76,12 +111,14 @@ impl<P: Ports, T: Transport, S: StopControl> ReportLink for RobotLink<P, T, S> {
             peers: vec![PeerReport {
                 robot,
                 is_heard,
-                is_stopped: None,
                 waiting,
                 refused,
+                late_velocities: end.late_velocities(),
+                was_heard: is_heard,
                 bytes,
-                late_scans: 0,
+                ..PeerReport::default()
             }],
+            ..LinkReport::default()
         }
     }
 }
@@ -95,8 +132,13 @@ impl<P: Ports, T: Transport, S: StopControl> ReportLink for BaseLink<P, T, S> {
             waiting: end.robot_state().waiting.into(),
             refused: end.refused(),
             late_scans,
+            hold: end.hold().reason.map(|reason| reason.text().to_owned()),
+            is_contested: end.is_contested(self.now()),
+            state_ns: end.state_received().0,
+            was_heard: end.state_received().0 > 0,
             bytes: by_kind(end.received()),
+            ..PeerReport::default()
         });
-        LinkReport { peers: peers.collect() }
+        LinkReport { peers: peers.collect(), ..LinkReport::default() }
     }
 }

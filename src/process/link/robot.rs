@@ -43,7 +43,15 @@ pub struct RobotLink<P: Ports, T, S> {
     epoch: Epoch,
     listeners: Vec<P::Listener>,
     invalid: InvalidMessages,
-    was_heard: bool,
+    told: Told,
+}
+
+/// What the log says of the base at present.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Told {
+    is_heard: bool,
+    is_refused: bool,
+    is_late: bool,
 }
 
 impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
@@ -58,7 +66,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             submap_poses: ports.reader(&channel::submap_poses(ROBOT))?,
         };
         let outputs = Outputs {
-            velocity: ports.writer(&channel::navigation_velocity(ROBOT))?,
+            velocity: ports.writer(&channel::base_velocity(ROBOT))?,
             submap_request: ports.writer(&channel::submap_request(ROBOT))?,
         };
         let link = &run.config.link;
@@ -74,7 +82,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             epoch: run.epoch,
             listeners: vec![ports.listener(&channel::pose_estimate(ROBOT))?],
             invalid: InvalidMessages::default(),
-            was_heard: false,
+            told: Told::default(),
         })
     }
 
@@ -152,6 +160,28 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
     }
 }
 
+impl Told {
+    /// Says what is new.
+    fn update(&mut self, new: Self, name: &str) {
+        if self.is_heard && !new.is_heard {
+            tracing::warn!("no base is heard any more; the robot stops, and goes on mapping");
+        }
+        if !self.is_refused && new.is_refused {
+            tracing::warn!(
+                "the base has accepted another machine named {name}: this one's velocities do not come from it, and its \
+                 map is not taken; give each robot a name of its own"
+            );
+        }
+        if !self.is_late && new.is_late {
+            tracing::warn!(
+                "the link is too slow: the base's velocities answer what the robot said more than 0.5 s before, and \
+                 are not obeyed"
+            );
+        }
+        *self = new;
+    }
+}
+
 /// Returns a number that other runs of this machine do not have, above 0.
 fn run_number(run: &Run) -> u32 {
     let begun = run.begun.0;
@@ -161,14 +191,12 @@ fn run_number(run: &Run) -> u32 {
 impl<P: Ports, T: Transport, S: StopControl> ProcessLoop for RobotLink<P, T, S> {
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
-        self.end.set_stopped(self.stop.is_stopped());
+        self.end.set_local_control(self.stop.local_control());
         self.receive(now);
         self.read_channels(now);
-        let is_heard = self.end.is_heard(now);
-        if self.was_heard && !is_heard {
-            tracing::warn!("no base is heard any more; the robot stops, and goes on mapping");
-        }
-        self.was_heard = is_heard;
+        let (is_heard, is_late) = (self.end.is_heard(now), self.end.is_late(now));
+        let is_refused = is_heard && self.end.is_refused();
+        self.told.update(Told { is_heard, is_refused, is_late }, &self.name);
         let transport = &mut self.transport;
         self.end.poll(now, &mut |kind, bytes: &[u8]| transport.send(ROBOT.index(), kind, bytes));
         now + POLL_PERIOD

@@ -4,27 +4,27 @@ use crate::control::{self, Request};
 use crate::process::control::saved_state::{latch_stop, stop_file};
 use crate::run::Run;
 use crate::storage::DiskStorage;
+use ::link::LocalControl;
 use std::io;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Period at which the base's bridge is asked whether it is stopped: a part of the time that a stop takes to a robot.
 pub const BASE_STATE_PERIOD: Duration = Duration::from_millis(40);
-/// Period at which a robot's bridge is asked: only to repeat a stop that it has not set, and for the base's information.
-pub const ROBOT_STATE_PERIOD: Duration = Duration::from_millis(200);
+/// Period at which a robot's bridge is asked: a stop or a hand there is to reach the base before it is over.
+pub const ROBOT_STATE_PERIOD: Duration = Duration::from_millis(50);
 /// Longest wait for the bridge's answer.
 const PATIENCE: Duration = Duration::from_millis(500);
-
-const UNKNOWN: u8 = 0;
-const RUNNING: u8 = 1;
-const STOPPED: u8 = 2;
 
 /// This machine's emergency stop, which its bridge keeps.
 pub trait StopControl {
     /// Returns whether it is set; `None` if the bridge does not answer.
-    fn is_stopped(&self) -> Option<bool>;
+    fn is_stopped(&self) -> Option<bool> {
+        self.local_control().is_stopped
+    }
+    /// Returns who controls the robots of this machine here, as its bridge has said last.
+    fn local_control(&self) -> LocalControl;
     /// Sets or releases it. Never waits.
     fn request(&mut self, stop: bool);
 }
@@ -32,14 +32,14 @@ pub trait StopControl {
 /// The emergency stop of a run, over its bridge's control socket. A thread of its own waits for the bridge.
 #[derive(Debug)]
 pub struct RunStop {
-    state: Arc<AtomicU8>,
+    state: Arc<Mutex<LocalControl>>,
     requests: SyncSender<bool>,
 }
 
 impl RunStop {
     /// Starts the thread, which asks the bridge once a `period` and ends with this value.
     pub fn start(run: &Run, period: Duration) -> io::Result<Self> {
-        let state = Arc::new(AtomicU8::new(UNKNOWN));
+        let state = Arc::new(Mutex::default());
         // The newest request counts; two wait while the disk or the bridge is slow.
         let (requests, received) = sync_channel(2);
         let (run, shared) = (run.clone(), state.clone());
@@ -51,12 +51,8 @@ impl RunStop {
 }
 
 impl StopControl for RunStop {
-    fn is_stopped(&self) -> Option<bool> {
-        match self.state.load(Ordering::Relaxed) {
-            RUNNING => Some(false),
-            STOPPED => Some(true),
-            _ => None,
-        }
+    fn local_control(&self) -> LocalControl {
+        *self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn request(&mut self, stop: bool) {
@@ -65,7 +61,7 @@ impl StopControl for RunStop {
     }
 }
 
-fn serve(run: &Run, period: Duration, requests: &Receiver<bool>, state: &AtomicU8) {
+fn serve(run: &Run, period: Duration, requests: &Receiver<bool>, state: &Mutex<LocalControl>) {
     loop {
         let request = match requests.recv_timeout(period) {
             Ok(true) => {
@@ -79,11 +75,15 @@ fn serve(run: &Run, period: Duration, requests: &Receiver<bool>, state: &AtomicU
             Err(RecvTimeoutError::Timeout) => Request::State,
             Err(RecvTimeoutError::Disconnected) => return,
         };
-        let found = match control::ask(run, request, PATIENCE) {
-            Ok(bridge) if bridge.stopped => STOPPED,
-            Ok(_) => RUNNING,
-            Err(_) => UNKNOWN,
+        let asked = control::ask(run, request, PATIENCE);
+        let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
+        *state = match asked {
+            Ok(bridge) => LocalControl {
+                is_stopped: Some(bridge.stopped),
+                is_driven_by_hand: bridge.driven_by_client,
+                interruptions: bridge.interruptions as u32,
+            },
+            Err(_) => LocalControl { is_stopped: None, ..*state },
         };
-        state.store(found, Ordering::Relaxed);
     }
 }

@@ -10,12 +10,12 @@ use crate::lockstep::queues::{
 use crate::ports::{Ports, ReadMapPort, ReadPort, WriteMapPort, WritePort};
 use crate::process::ProcessLoop;
 use crate::run::Run;
-use ::link::Kind;
+use ::link::{Kind, LocalControl};
 use link_transport::Transport;
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
-    Header, IndexRect, MapHeader, Monotonic, PoseEstimate, RobotId, Role, Scan, ScanDemand, ScanPurpose,
-    Stamp, SubmapPoses, TileMap, Transforms, VelocityCommand,
+    Header, IndexRect, MapHeader, Monotonic, PauseReason, PoseEstimate, RobotHold, RobotId, Role, Scan,
+    ScanDemand, ScanPurpose, Stamp, SubmapPoses, TileMap, Transforms, VelocityCommand,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -55,11 +55,12 @@ impl Transport for Cable {
 }
 
 #[derive(Clone, Default)]
-struct Stop(Rc<Cell<bool>>);
+struct Stop(Rc<Cell<bool>>, Rc<Cell<u32>>);
 
 impl StopControl for Stop {
-    fn is_stopped(&self) -> Option<bool> {
-        Some(self.0.get())
+    fn local_control(&self) -> LocalControl {
+        let (is_stopped, interruptions) = (Some(self.0.get()), self.1.get());
+        LocalControl { is_stopped, interruptions, ..LocalControl::default() }
     }
     fn request(&mut self, stop: bool) {
         self.0.set(stop);
@@ -92,6 +93,7 @@ struct BaseSide {
     scans: QueueReader<Scan>,
     demand: QueueWriter<ScanDemand>,
     commands: QueueWriter<VelocityCommand>,
+    holds: QueueReader<RobotHold>,
     stop: Stop,
 }
 
@@ -135,7 +137,7 @@ impl RobotSide {
             pose_estimates: slam.writer(&channel::pose_estimate(ROBOT)).unwrap(),
             transforms: sim.writer(&channel::transforms(ROBOT)).unwrap(),
             scans: sim.writer(&channel::scan(ROBOT)).unwrap(),
-            velocities: ports(&network, Role::Bridge).reader(&channel::navigation_velocity(ROBOT)).unwrap(),
+            velocities: ports(&network, Role::Bridge).reader(&channel::base_velocity(ROBOT)).unwrap(),
             stop,
             network,
         }
@@ -177,6 +179,7 @@ impl BaseSide {
             submap_poses: merge.reader(&channel::submap_poses(ROBOT)).unwrap(),
             scans: ports(&network, Role::Nav).reader(&channel::scan(ROBOT)).unwrap(),
             demand: ports(&network, Role::Bridge).writer(&channel::scan_demand()).unwrap(),
+            holds: ports(&network, Role::Nav).reader(&channel::hold(ROBOT)).unwrap(),
             commands: ports(&network, Role::Bridge).writer(&channel::command(ROBOT)).unwrap(),
             stop,
             network,
@@ -346,6 +349,28 @@ fn the_emergency_stop_of_the_base_is_set_on_the_robot_and_outlives_the_base() {
     machines.replace_base(3);
     machines.run(5.0);
     assert!(machines.robot.stop.0.get(), "a base that never stopped the robot does not release it");
+}
+
+#[test]
+fn a_stop_at_the_robots_machine_reaches_the_base_and_outdates_its_velocities() {
+    let mut machines = Machines::new();
+    machines.run(1.0);
+    let before = *machines.base.holds.newest().expect("the base says that nothing holds the robot");
+    assert_eq!(before.reason(), None);
+    // A stop that is released before the base hears of it.
+    machines.robot.stop.1.set(1);
+    machines.run(0.3);
+    let after = *machines.base.holds.newest().expect("the base is told");
+    assert_eq!((after.interruptions, after.reason()), (before.interruptions + 1, None));
+    machines.robot.stop.0.set(true);
+    machines.run(0.3);
+    assert_eq!(machines.base.holds.newest().unwrap().reason(), Some(PauseReason::StoppedAtRobot));
+    machines.robot.stop.0.set(false);
+    // The base's own stop is none of the robot's.
+    machines.run(1.0);
+    machines.base.stop.0.set(true);
+    machines.run(1.0);
+    assert_eq!(machines.base.holds.newest().unwrap().reason(), None);
 }
 
 #[test]

@@ -15,7 +15,7 @@ use msg::{
 const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 /// Why it stands while persons have all robots.
 const ALL_TAKEN: &str =
-    "persons have taken or stopped all robots; resume them, or start the exploration again";
+    "persons or the base have taken or stopped all robots; resume them, or start the exploration again";
 const NO_ROBOT: &str =
     "for 60 s no robot could be given a goal: all are lost, silent or surrounded by obstacles";
 const MAP_TOO_LARGE: &str =
@@ -54,6 +54,11 @@ impl<P: Ports> Exploration<P> {
 
     pub(super) fn is_active(&self) -> bool {
         self.active.is_some()
+    }
+
+    /// Whether a robot takes part in an exploration, and no person has it.
+    pub(super) fn includes(&self, robot: RobotId) -> bool {
+        self.active.as_ref().is_some_and(|exploration| !exploration.is_manual(robot))
     }
 
     /// Number of the newest command.

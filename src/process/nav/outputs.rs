@@ -5,8 +5,8 @@ use crate::ports::{ChannelError, Ports, WritePort};
 use ::nav::navigation::RobotNavigation;
 use ::nav::{NavigationState, Path};
 use msg::{
-    Monotonic, NavigationPlan, NavigationReport, NavigationStatus, PLAN_POINTS_MAX, RobotId, Stamp,
-    VelocityCommand,
+    Monotonic, NavigationPlan, NavigationReport, NavigationStatus, PLAN_POINTS_MAX, PauseReason, RobotId,
+    Stamp, VelocityCommand,
 };
 
 /// Period of the states while a goal is pursued, nanoseconds.
@@ -33,6 +33,8 @@ pub(super) struct Decision<'a> {
     pub(super) goal: u64,
     /// Why the newest goal was refused.
     pub(super) refusal: Option<&'static str>,
+    /// Why the goal is paused, if it is.
+    pub(super) pause_reason: PauseReason,
     /// Whether plans are in the merged map.
     pub(super) in_merged_map: bool,
 }
@@ -124,7 +126,7 @@ fn report(stamp: Stamp, decision: &Decision) -> NavigationReport {
             NavigationStatus::Recovering
         }
         NavigationState::Paused => {
-            report.set_reason("a person drives or has stopped the robot; resume, or send a new goal");
+            report.set_reason(decision.pause_reason.text());
             NavigationStatus::Paused
         }
         NavigationState::Reached => NavigationStatus::Reached,

@@ -6,7 +6,7 @@ use crate::channel::Program::{ExploreTool, GotoTool, Launcher, LinkTool, RecordT
 use crate::channel::{Channel, ChannelRow, Scope, TypedRow};
 use msg::{
     ExclusionZones, ExplorationCommand, ExplorationReport, NavigationCommand, NavigationPlan,
-    NavigationReport, RobotId, VelocityCommand, ZoneCommand,
+    NavigationReport, RobotHold, RobotId, VelocityCommand, ZoneCommand,
 };
 
 /// Newest commands of each writer that wait for a reader that is started again; as many as a reader's queue takes.
@@ -25,11 +25,27 @@ pub(super) static GOAL: TypedRow<NavigationCommand> = TypedRow::new(ChannelRow {
 });
 pub(super) static NAVIGATION_VELOCITY: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "navigation_velocity",
-    content: "velocity towards the robot's goal, 20 Hz while it has one; on a robot's machine also the base's",
-    writers: &[Of(NAV), OtherMachines(LinkTool)],
+    content: "velocity towards the robot's goal, 20 Hz while it has one",
+    writers: &[Of(NAV)],
     readers: &[Of(BRIDGE)],
-    writers_max: 2,
     ..STREAM
+});
+pub(super) static BASE_VELOCITY: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
+    name: "base_velocity",
+    content: "on a robot's machine: the base's velocity, 20 Hz while the base drives the robot",
+    writers: &[OtherMachines(LinkTool)],
+    readers: &[OtherMachines(BRIDGE)],
+    ..STREAM
+});
+pub(super) static HOLD: TypedRow<RobotHold> = TypedRow::new(ChannelRow {
+    name: "hold",
+    content: "at the base: why a robot on another machine does not follow it, on change",
+    scope: Scope::Robot,
+    writers: &[OtherMachines(LinkTool)],
+    readers: &[OtherMachines(NAV)],
+    // Navigation looks in each step.
+    wakes: false,
+    ..STATE
 });
 pub(super) static NAVIGATION_STATE: TypedRow<NavigationReport> = TypedRow::new(ChannelRow {
     name: "navigation_state",
@@ -95,6 +111,16 @@ pub fn goal(robot: RobotId) -> Channel<NavigationCommand> {
 /// `robotK/navigation_velocity`: the navigator's velocities, which pass the bridge's gate as all others.
 pub fn navigation_velocity(robot: RobotId) -> Channel<VelocityCommand> {
     NAVIGATION_VELOCITY.of_robot(robot)
+}
+
+/// `robotK/base_velocity`: on a robot's machine the velocities of the base, which pass the bridge's gate as all others.
+pub fn base_velocity(robot: RobotId) -> Channel<VelocityCommand> {
+    BASE_VELOCITY.of_robot(robot)
+}
+
+/// `robotK/hold`: at the base, why a robot on another machine does not follow it.
+pub fn hold(robot: RobotId) -> Channel<RobotHold> {
+    HOLD.of_robot(robot)
 }
 
 /// `robotK/navigation_state`: what the navigator does with the robot, and why it stands.
