@@ -8,7 +8,7 @@ use crate::peer::{Peer, STATE_PERIOD, Timer};
 use crate::receiver::{PartChange, PartReceiver};
 use crate::scan::{DecimatedScan, ScanRate};
 use crate::table::Kind;
-use crate::wire::{BaseState, Chunk, INTERRUPTIONS_UNKNOWN, Message, RobotState, WireError};
+use crate::wire::{BaseState, Chunk, INTERRUPTIONS_UNKNOWN, Message, RobotState, WireError, address};
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
     IndexRect, Monotonic, PauseReason, PoseEstimate, Submap, SubmapPoses, TileMap, Transforms,
@@ -200,7 +200,7 @@ impl BaseEnd {
                 events.push(BaseEvent::RobotJoined { robot: envelope.session, before });
             }
         }
-        (self.peer.heard, self.peer.to) = (self.peer.heard.max(envelope.sent), envelope.session);
+        (self.peer.heard, self.peer.to) = (self.peer.heard.max(envelope.sent), address(envelope.session));
         if !self.robot_state.is_of_session && !matches!(envelope.message, Message::RobotState(_)) {
             return Ok(events);
         }

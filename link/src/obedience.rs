@@ -58,8 +58,8 @@ impl Obedience {
         self.interruptions.unwrap_or(INTERRUPTIONS_UNKNOWN)
     }
 
-    /// Records a message of the base to session `to`; returns whether that is this session, `own`.
-    pub fn is_addressed(&mut self, to: u64, own: u64, now: Monotonic) -> bool {
+    /// Records a message of the base to the address `to`; returns whether that is this session's, `own`.
+    pub fn is_addressed(&mut self, to: u32, own: u32, now: Monotonic) -> bool {
         if to != own && to != 0 {
             let begun = self.to_other.map_or(now, |series| series.begun);
             self.to_other = Some(Series { begun, newest: now });

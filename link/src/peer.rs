@@ -14,8 +14,8 @@ pub const STATE_PERIOD: Duration = Duration::from_millis(200);
 pub struct Peer {
     /// Session of this end: a random number that it keeps until its process ends.
     pub session: u64,
-    /// Session of the peer that counts; 0 before there is one.
-    pub to: u64,
+    /// Address of the session of the peer that counts; 0 before there is one.
+    pub to: u32,
     /// Sending time of the peer's newest message, on its clock.
     pub heard: Monotonic,
     /// Bytes sent to the peer.

@@ -10,7 +10,7 @@ use crate::scan_throttle::ScanThrottle;
 use crate::sender::{PartSender, SenderConfig};
 use crate::stop::{StopFollower, StopRequest};
 use crate::table::Kind;
-use crate::wire::{Message, RobotState, WireError};
+use crate::wire::{Message, RobotState, WireError, address};
 use msg::{
     Header, MapHeader, Monotonic, PoseEstimate, Scan, Submap, SubmapPoses, TileMap, Transforms,
     VelocityCommand,
@@ -176,8 +176,8 @@ impl RobotEnd {
                 events.push(RobotEvent::BaseLeads { base: envelope.session, before });
             }
         }
-        (self.peer.heard, self.peer.to) = (self.peer.heard.max(envelope.sent), envelope.session);
-        let is_ours = self.obedience.is_addressed(envelope.to, self.peer.session, now);
+        (self.peer.heard, self.peer.to) = (self.peer.heard.max(envelope.sent), address(envelope.session));
+        let is_ours = self.obedience.is_addressed(envelope.to, address(self.peer.session), now);
         match envelope.message {
             Message::BaseState(state) => {
                 self.scans.set_asked(state.scans);

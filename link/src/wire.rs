@@ -29,8 +29,8 @@ pub const PAGES_MAX: u16 = 64;
 pub struct Envelope {
     /// Session of the sender: a random number that it keeps until its process ends.
     pub session: u64,
-    /// Session of the peer that the sender has accepted and answers; 0: none yet.
-    pub to: u64,
+    /// [`address`] of the session of the peer that the sender has accepted and answers; 0: none yet.
+    pub to: u32,
     /// Time of sending, on the sender's clock.
     pub sent: Monotonic,
     /// Time of sending of the newest message that the sender got from this peer, on the peer's clock; 0: none yet.
@@ -180,7 +180,7 @@ impl Envelope {
             return Err(WireError::Version(version));
         }
         let kind = Kind::from_code(kind).ok_or(WireError::Kind(kind))?;
-        let (session, to) = (from.u64()?, from.u64()?);
+        let (session, to) = (from.u64()?, from.u32()?);
         let (sent, answers) = (Monotonic(from.u64()?), Monotonic(from.u64()?));
         let message = Message::read(kind, &mut from)?;
         if from.bytes.is_empty() {
@@ -199,7 +199,7 @@ impl Message {
                 to.extend(state.run.to_le_bytes());
                 to.extend(state.waiting.to_le_bytes());
                 let flags = [state.is_stopped, state.is_own_stop, state.is_driven_by_hand, state.is_late];
-                to.extend(flags.map(u8::from));
+                to.push(flags.into_iter().rev().fold(0, |byte, flag| byte << 1 | u8::from(flag)));
                 to.extend(state.interruptions.to_le_bytes());
             }
             Self::BaseState(state) => {
@@ -232,16 +232,7 @@ impl Message {
     fn read(kind: Kind, from: &mut Reader<'_>) -> Result<Self, WireError> {
         let wrong = WireError::Range(kind);
         Ok(match kind {
-            Kind::RobotState => Self::RobotState(RobotState {
-                list_of: from.u64()?,
-                run: from.u32()?,
-                waiting: from.u32()?,
-                is_stopped: from.flag().ok_or(wrong)?,
-                is_own_stop: from.flag().ok_or(wrong)?,
-                is_driven_by_hand: from.flag().ok_or(wrong)?,
-                is_late: from.flag().ok_or(wrong)?,
-                interruptions: from.u32()?,
-            }),
+            Kind::RobotState => Self::RobotState(read_robot_state(from)?.ok_or(wrong)?),
             Kind::BaseState => Self::BaseState(BaseState {
                 is_stopped: from.flag().ok_or(wrong)?,
                 is_known: from.flag().ok_or(wrong)?,
@@ -268,6 +259,27 @@ impl Message {
             Kind::Acknowledgement => Self::Acknowledgement(read_receipts(from)?.ok_or(wrong)?),
         })
     }
+}
+
+/// Returns what stands for a session in the head of a message to it; never 0.
+pub fn address(session: u64) -> u32 {
+    (session as u32).max(1)
+}
+
+fn read_robot_state(from: &mut Reader<'_>) -> Result<Option<RobotState>, WireError> {
+    let (list_of, run, waiting) = (from.u64()?, from.u32()?, from.u32()?);
+    let [flags] = from.array()?;
+    let state = RobotState {
+        list_of,
+        run,
+        waiting,
+        is_stopped: flags & 1 != 0,
+        is_own_stop: flags & 2 != 0,
+        is_driven_by_hand: flags & 4 != 0,
+        is_late: flags & 8 != 0,
+        interruptions: from.u32()?,
+    };
+    Ok(Some(state).filter(|_| flags < 16))
 }
 
 /// Reads what is asked for: `Some(None)` for nothing, `None` if a number is out of range.
