@@ -283,11 +283,6 @@ impl Fleet {
         }
     }
 
-    /// Stops the link's process alone.
-    pub fn hang_link(&self) {
-        kill_process(until("there is a link", LIMIT, || self.link()), Signal::STOP).unwrap();
-    }
-
     /// Kills the link's process, and waits for the next one.
     pub fn kill_link(&self) {
         let link = until("there is a link", LIMIT, || self.link());
