@@ -50,7 +50,7 @@ impl PauseReason {
             .find(|reason| *reason as u32 == code)
     }
 
-    /// Returns the sentence that people read, within [`REASON_BYTES_MAX`] bytes.
+    /// Returns the sentence that people read, within 128 bytes.
     pub fn text(self) -> &'static str {
         match self {
             Self::Person => "a person drives or has stopped the robot; resume, or send a new goal",
