@@ -74,8 +74,6 @@ pub struct Core {
     pub stats: Option<Box<FleetStats>>,
     /// The clients that are being dropped.
     admission: AdmissionState,
-    /// Refused messages from ROS 2.
-    ros_refusals: ros_refusals::RosRefusals,
 }
 
 impl Core {
@@ -102,7 +100,6 @@ impl Core {
             world,
             stats: None,
             admission: AdmissionState::default(),
-            ros_refusals: ros_refusals::RosRefusals::default(),
         };
         core.send_velocities();
         core.publish_selected();

@@ -1,6 +1,7 @@
 //! Admission of clients and of large frames: what one client may take, and who makes room when places or memory are short.
 
 use super::Core;
+use super::ros_refusals::RosRefusals;
 use crate::command::name;
 use crate::frame::IncompleteFrame;
 use crate::router::{
@@ -104,6 +105,8 @@ pub struct AdmissionState {
     leaving: VecDeque<(ClientId, OutgoingQueue)>,
     /// What the operator's log is to say.
     events: Vec<String>,
+    /// Refused messages from ROS 2, of which it says some.
+    pub(super) ros_refusals: RosRefusals,
 }
 
 impl Core {

@@ -50,7 +50,7 @@ impl Core {
     /// Counts a refused message from ROS 2, and tells the operator why; the same reason on the same topic once in 30 s.
     pub(super) fn refuse_ros(&mut self, topic: &str, error: &InputError, now: Monotonic) {
         self.router.counted.refused += 1;
-        if let Some(messages) = self.ros_refusals.add(error.kind(), topic, now) {
+        if let Some(messages) = self.admission.ros_refusals.add(error.kind(), topic, now) {
             let times = if messages > 1 { format!(" ({messages} messages)") } else { String::new() };
             self.report(format!("ROS 2: {topic} is refused{times}: {error}"));
         }
