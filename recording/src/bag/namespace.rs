@@ -14,11 +14,23 @@ fn common(a: &str, b: &str) -> usize {
     parts(a).zip(parts(b)).take_while(|(a, b)| a == b).count()
 }
 
+/// Whether two namespaces are alike but for their numbers, as `robot1` and `robot2`.
+fn differ_in_numbers(a: &str, b: &str) -> bool {
+    let letters = |namespace: &str| namespace.replace(|c: char| c.is_ascii_digit(), "");
+    a != b && letters(a) == letters(b)
+}
+
 /// Returns those of the topics that are of the robot with the scans: in the scans' namespace, else in the one that has most in
 /// common with it. A topic that has more in common with other scans is another robot's. Several namespaces that are equally
-/// near are none.
+/// near are none. Where there is one topic with scans and one of the others, they are one robot's, whatever their namespaces
+/// are called, as `/front_laser` and `/wheels`; but for namespaces that differ in their numbers.
 pub fn of_same_robot<'a>(scan_topic: &str, scan_topics: &[&str], topics: &[&'a str]) -> Vec<&'a str> {
     let of_scans = namespace(scan_topic);
+    if let ([_], [only]) = (scan_topics, topics)
+        && !differ_in_numbers(of_scans, namespace(only))
+    {
+        return vec![*only];
+    }
     let is_own = |topic: &str| {
         let (own, others) = (common(namespace(topic), of_scans), scan_topics.iter());
         let is_anothers = others.into_iter().any(|other| common(namespace(topic), namespace(other)) > own);
@@ -58,6 +70,8 @@ mod tests {
         assert_eq!(of("/robot3/scan"), ["/odom"]);
         assert_eq!(found("/scan", &[], &["/wheels/odom"]), ["/wheels/odom"]);
         assert_eq!(found("/a/laser/scan", &[], &["/a/wheels/odom"]), ["/a/wheels/odom"]);
+        assert_eq!(found("/front_laser/scan", &[], &["/wheels/odometry"]), ["/wheels/odometry"]);
+        assert!(found("/front_laser/scan", &["/rear_laser/scan"], &["/wheels/odometry"]).is_empty());
     }
 
     #[test]
