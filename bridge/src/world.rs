@@ -54,6 +54,18 @@ pub enum WorldMessage<'a> {
 /// Number of a source, chosen by the caller.
 pub type SourceId = u64;
 
+/// The newest pose by a robot's wheels.
+#[derive(Clone, Copy, Debug)]
+struct SentPose {
+    /// Its stamp by the source's clock.
+    sent: Stamp,
+    /// The same by the run's.
+    stamp: Stamp,
+    odom_from_base: Pose2,
+    /// Whether it is TF's, and not the odometry topic's.
+    is_of_transform: bool,
+}
+
 /// What is known of one robot from its source.
 #[derive(Clone, Copy, Debug, Default)]
 struct RobotState {
@@ -62,12 +74,9 @@ struct RobotState {
     last_scan: Option<Stamp>,
     /// The newest of the scans in a row that were stamped much earlier than that, and their number.
     set_back: Option<(Stamp, usize)>,
-    /// The newest pose: stamp by the source's clock, the same stamp by the run's, odom_from_base.
-    last_pose: Option<(Stamp, Stamp, Pose2)>,
+    last_pose: Option<SentPose>,
     /// When TF had odom -> base last, by the run's time.
     last_transform: Option<Stamp>,
-    /// Whether the newest pose is TF's, and not the odometry topic's.
-    is_pose_of_transform: bool,
     /// Whether odom -> base_footprint was received: base_link, which moves the same, is then not needed.
     has_footprint: bool,
 }
@@ -225,7 +234,7 @@ impl ExternalWorld {
         if state.last_transform.is_some_and(|last| origin.received - last < SOURCE_TIMEOUT_S) {
             return Ok(());
         }
-        let is_new = state.last_pose.is_none_or(|(_, before, _)| stamp > before);
+        let is_new = state.last_pose.is_none_or(|last| stamp > last.stamp);
         self.send_odometry(robot, [transform.stamp, stamp], &parent_from_child, false)?;
         if is_new {
             let transforms = &mut self.transforms[robot.index()];
@@ -356,21 +365,20 @@ impl ExternalWorld {
         let state = &mut self.robots[robot.index()];
         let mut odometry = Odometry { odom_from_base, ..Odometry::default() };
         odometry.header.stamp = stamp;
-        if let Some((sent_before, before, pose)) = state.last_pose {
+        if let Some(last) = state.last_pose {
             // A client that publishes at its frame rate repeats poses: nothing new.
-            if stamp <= before {
+            if stamp <= last.stamp {
                 return Ok(());
             }
-            let span_s = sent - sent_before;
-            let is_same = state.is_pose_of_transform == is_of_transform;
+            let span_s = sent - last.sent;
+            let is_same = last.is_of_transform == is_of_transform;
             if is_same && span_s > 0.0 && span_s <= VELOCITY_SPAN_MAX_S {
-                let step = pose.inverse() * odom_from_base;
+                let step = last.odom_from_base.inverse() * odom_from_base;
                 odometry.linear_m_s = step.x_m / span_s;
                 odometry.angular_rad_s = step.yaw_rad / span_s;
             }
         }
-        state.last_pose = Some((sent, stamp, odom_from_base));
-        state.is_pose_of_transform = is_of_transform;
+        state.last_pose = Some(SentPose { sent, stamp, odom_from_base, is_of_transform });
         (self.sink)(WorldMessage::Odometry(robot, &odometry));
         Ok(())
     }

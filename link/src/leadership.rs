@@ -1,5 +1,6 @@
 //! Which of several peers counts: a robot obeys one base, and a base accepts one machine that bears a robot's name.
 
+use crate::series::Series;
 use msg::Monotonic;
 use std::time::Duration;
 
@@ -31,8 +32,8 @@ pub enum Verdict {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Leadership {
     leader: Option<(u64, Monotonic)>,
-    /// When another peer was refused first since this one leads, without a long pause, and when last.
-    contest: Option<(Monotonic, Monotonic)>,
+    /// Refusals of other peers since this one leads, without a long pause.
+    contest: Option<Series>,
     /// Messages of other peers that were refused.
     pub refused: u64,
 }
@@ -47,8 +48,7 @@ impl Leadership {
             }
             Some((_, heard)) if now.since(heard) < SILENCE_MAX.as_nanos() as u64 => {
                 self.refused += 1;
-                let begun = self.contest.filter(|(_, newest)| !is_silence(*newest, now));
-                self.contest = Some((begun.map_or(now, |(begun, _)| begun), now));
+                self.contest = Some(Series::with(self.contest_series(now), now));
                 Verdict::Refused
             }
             before => {
@@ -65,8 +65,12 @@ impl Leadership {
 
     /// Returns whether two peers are there: one that leads, and one that is refused all the time.
     pub fn is_contested(&self, now: Monotonic) -> bool {
-        let contest = self.contest.filter(|(_, newest)| !is_silence(*newest, now));
-        contest.is_some_and(|(begun, newest)| newest.since(begun) >= CONTESTED_AFTER.as_nanos() as u64)
+        self.contest_series(now).is_some_and(|series| series.lasts(CONTESTED_AFTER))
+    }
+
+    /// The refusals that go on now.
+    fn contest_series(&self, now: Monotonic) -> Option<Series> {
+        self.contest.filter(|series| !is_silence(series.newest, now))
     }
 
     /// Returns whether the peer that leads was heard lately.

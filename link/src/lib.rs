@@ -23,6 +23,7 @@ mod robot;
 pub mod scan;
 mod scan_throttle;
 mod sender;
+mod series;
 mod size;
 mod stop;
 pub mod table;

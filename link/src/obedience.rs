@@ -1,6 +1,7 @@
 //! Which velocities of the base a robot obeys: those to itself that are recent and know of its last interruption.
 
 use crate::leadership::is_recent;
+use crate::series::Series;
 use crate::wire::INTERRUPTIONS_UNKNOWN;
 use msg::Monotonic;
 use std::time::Duration;
@@ -12,19 +13,6 @@ const LATE_GAP_MAX: Duration = Duration::from_secs(1);
 /// Time for which the base answers another machine after which this one counts as refused: a link that is started again is
 /// accepted sooner.
 const REFUSED_AFTER: Duration = Duration::from_secs(5);
-
-/// Series of events: when it began, and its newest.
-#[derive(Clone, Copy, Debug)]
-struct Series {
-    begun: Monotonic,
-    newest: Monotonic,
-}
-
-impl Series {
-    fn lasts(self, at_least: Duration) -> bool {
-        self.newest.since(self.begun) >= at_least.as_nanos() as u64
-    }
-}
 
 /// Judges velocities of the base that leads.
 #[derive(Clone, Copy, Debug, Default)]
@@ -61,8 +49,7 @@ impl Obedience {
     /// Records a message of the base to the address `to`; returns whether that is this session's, `own`.
     pub fn is_addressed(&mut self, to: u32, own: u32, now: Monotonic) -> bool {
         if to != own && to != 0 {
-            let begun = self.to_other.map_or(now, |series| series.begun);
-            self.to_other = Some(Series { begun, newest: now });
+            self.to_other = Some(Series::with(self.to_other, now));
         } else {
             self.to_other = None;
         }
@@ -81,16 +68,18 @@ impl Obedience {
             return !self.is_untold && answers >= self.told;
         }
         self.late_count += 1;
-        let is_one = |series: &Series| now.since(series.newest) <= LATE_GAP_MAX.as_nanos() as u64;
-        let begun = self.late.filter(is_one).map_or(now, |series| series.begun);
-        self.late = Some(Series { begun, newest: now });
+        self.late = Some(Series::with(self.late_series(now), now));
         false
     }
 
     /// Returns whether velocities arrive, and all of them too late.
     pub fn is_late(&self, now: Monotonic) -> bool {
-        let is_now = |series: &Series| now.since(series.newest) <= LATE_GAP_MAX.as_nanos() as u64;
-        self.late.filter(is_now).is_some_and(|series| series.lasts(LATE_AFTER))
+        self.late_series(now).is_some_and(|series| series.lasts(LATE_AFTER))
+    }
+
+    /// The late velocities that go on now.
+    fn late_series(&self, now: Monotonic) -> Option<Series> {
+        self.late.filter(|series| now.since(series.newest) <= LATE_GAP_MAX.as_nanos() as u64)
     }
 }
 

@@ -5,7 +5,7 @@ use super::Error;
 use super::up::{FleetHooks, UpArgs, run_or_detach};
 use crate::clock::now;
 use crate::config::RobotSource;
-use crate::process::link::LinkReport;
+use crate::process::link::{LinkReport, REPORT_AGE_MAX};
 use crate::progress;
 use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
 use crate::run::Run;
@@ -28,8 +28,6 @@ const LISTEN_DEFAULT: &str = "quic/0.0.0.0:7447";
 #[cfg(feature = "link")]
 const SESSION_POLL: Duration = Duration::from_millis(20);
 
-/// Silence of the link's process after which it is judged: it writes its report once a second.
-const SILENCE_MAX: Duration = Duration::from_secs(3);
 /// Period at which the report is looked at.
 const REPORT_POLL: Duration = Duration::from_millis(200);
 
@@ -314,7 +312,7 @@ impl LinkProcess {
             run: None,
             child: None,
             policy,
-            watchdog: Watchdog::new(START_MAX, SILENCE_MAX, now()),
+            watchdog: Watchdog::new(START_MAX, REPORT_AGE_MAX, now()),
             report_due: Monotonic(0),
         }
     }
@@ -336,7 +334,7 @@ impl LinkProcess {
         // A process group of its own: Ctrl-C reaches the launcher alone.
         self.child = Some(command.stdin(Stdio::null()).process_group(0).spawn()?);
         self.policy.on_started(now());
-        self.watchdog = Watchdog::new(START_MAX, SILENCE_MAX, now());
+        self.watchdog = Watchdog::new(START_MAX, REPORT_AGE_MAX, now());
         Ok(())
     }
 

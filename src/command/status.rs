@@ -6,7 +6,7 @@ use crate::config::RobotSource;
 use crate::control::{self, Request};
 use crate::observer::Observer;
 use crate::ports::ChannelError;
-use crate::process::link::{LinkReport, PeerReport};
+use crate::process::link::{LinkReport, PeerReport, REPORT_AGE_MAX};
 use crate::run::{Run, RunError};
 use crate::terminal;
 use reports::FleetView;
@@ -70,9 +70,6 @@ struct Status<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     link: Option<&'a [PeerReport]>,
 }
-
-/// Age of the link's report above which the link's process does not work: it writes one each second.
-const REPORT_AGE_MAX: Duration = Duration::from_secs(3);
 
 /// Returns the figures of the link to each robot; `None` where the robots are on this machine.
 fn link_figures(run: &Run) -> Option<Vec<PeerReport>> {

@@ -77,10 +77,24 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
                 bridge.receive_slam_response(robot, response, response.client == requester);
             };
             feeds.push(forward(ports, &bridge, &channel::slam_response(robot), receive)?);
-            feeds.push(navigation_velocities(ports, &bridge, robot)?);
+            let velocities = channel::navigation_velocity(robot);
+            feeds.push(timely_velocities(
+                ports,
+                &bridge,
+                robot,
+                velocities,
+                Bridge::receive_navigation_velocity,
+            )?);
             // A machine that joins a base has one robot.
             if run.config.world != RobotSource::Robots && run.config.fleet.robots == 1 {
-                feeds.push(base_velocities(ports, &bridge, robot)?);
+                let velocities = channel::base_velocity(robot);
+                feeds.push(timely_velocities(
+                    ports,
+                    &bridge,
+                    robot,
+                    velocities,
+                    Bridge::receive_base_velocity,
+                )?);
             }
         }
         let (clock, bridge_of_tasks) = (ports.clock(), bridge.clone());
@@ -161,24 +175,22 @@ fn open_goals<P: Ports + 'static>(
     Ok(writers)
 }
 
-/// Passes the navigator's velocities for a robot to the gate, but for those that have waited too long.
-fn navigation_velocities<P: Ports>(ports: &P, bridge: &Rc<Bridge>, robot: RobotId) -> FeedResult<P> {
-    let clock = ports.clock();
-    forward(ports, bridge, &channel::navigation_velocity(robot), move |bridge: &Bridge, command| {
-        let now = clock.now();
-        if now.since(command.header.sent) <= NAVIGATION_AGE_MAX.as_nanos() as u64 {
-            bridge.receive_navigation_velocity(robot, command, now);
-        }
-    })
-}
+/// Takes a velocity for a robot at a time of the bridge's clock.
+type VelocityReceiver = fn(&Bridge, RobotId, &VelocityCommand, Monotonic);
 
-/// Passes the base's velocities for the robot of this machine to the gate, but for those that have waited too long.
-fn base_velocities<P: Ports>(ports: &P, bridge: &Rc<Bridge>, robot: RobotId) -> FeedResult<P> {
+/// Passes the velocities of a channel for a robot to the gate, but for those that have waited too long.
+fn timely_velocities<P: Ports>(
+    ports: &P,
+    bridge: &Rc<Bridge>,
+    robot: RobotId,
+    velocities: Channel<VelocityCommand>,
+    receive: VelocityReceiver,
+) -> FeedResult<P> {
     let clock = ports.clock();
-    forward(ports, bridge, &channel::base_velocity(robot), move |bridge: &Bridge, command| {
+    forward(ports, bridge, &velocities, move |bridge: &Bridge, command| {
         let now = clock.now();
         if now.since(command.header.sent) <= NAVIGATION_AGE_MAX.as_nanos() as u64 {
-            bridge.receive_base_velocity(robot, command, now);
+            receive(bridge, robot, command, now);
         }
     })
 }

@@ -46,6 +46,8 @@ impl InvalidMessages {
 
 /// Period at which the figures are written.
 const REPORT_PERIOD: Duration = Duration::from_secs(1);
+/// Age of the figures above which the link's process does not work.
+pub const REPORT_AGE_MAX: Duration = Duration::from_secs(3);
 
 /// Runs one end of the link until `over` returns true, and writes its figures.
 pub fn serve_link(

@@ -94,9 +94,8 @@ pub async fn serve_page(
     let (origins, session_id) = (config.origins.clone(), session_id());
     let PageContent { files, save_room, save_tlx, run_id } = content;
     let rooms = RoomReceiver::new(save_room);
-    let bridge_of_pages = bridge.clone();
     let shared = Rc::new(Shared {
-        bridge: bridge_of_pages,
+        bridge: bridge.clone(),
         files,
         rooms,
         save_tlx,

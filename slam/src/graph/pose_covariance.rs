@@ -188,10 +188,10 @@ impl Graph {
         let drifts_over_m = if edge.kind == EdgeKind::Odometry { 0.0 } else { length_m };
         let drift = errors.drift.map(|per_m| (per_m * drifts_over_m).powi(2));
         let drift = Matrix3::from_diagonal(&Vector3::new(drift[0], drift[0], drift[1]));
-        let odometry_m = if self.is_open(edge) { known.odometry_m + length_m } else { 0.0 };
+        let left = self.left_to_odometry(edge);
+        let odometry_m = if left == OdometryPart::Nothing { 0.0 } else { known.odometry_m + length_m };
         let over_m2 = (odometry_m.powi(2) - known.odometry_m.powi(2)).max(0.0);
-        let repeated =
-            self.repeated_odometry_errors(edge, errors.systematic.map(|per_m| per_m.powi(2) * over_m2));
+        let repeated = left.covariance(errors.systematic.map(|per_m| per_m.powi(2) * over_m2));
         let measured = turn_covariance(information.try_inverse()? + drift + repeated, a.yaw_rad);
         let moved = |from: Pose2, to: Pose2| [to.x_m - from.x_m, to.y_m - from.y_m];
         let covariance = if from == edge.a {
@@ -204,21 +204,38 @@ impl Graph {
 }
 
 impl Graph {
-    /// Whether odometry alone measures a part of the motion between two nodes: all of it, or what their scans leave open.
-    fn is_open(&self, edge: &Edge) -> bool {
-        let same = || self.edges_between(edge.a, edge.b);
-        same().any(|e| e.kind == EdgeKind::Odometry)
-            && same().filter(|e| is_scan(e)).all(|e| e.degenerate_direction_rad.is_some())
+    /// What odometry alone measures of the motion between the nodes of an edge.
+    fn left_to_odometry(&self, edge: &Edge) -> OdometryPart {
+        let (mut has_odometry, mut left) = (false, OdometryPart::Everything);
+        for e in self.edges_between(edge.a, edge.b) {
+            has_odometry |= e.kind == EdgeKind::Odometry;
+            if is_scan(e) {
+                let Some(direction_rad) = e.degenerate_direction_rad else { return OdometryPart::Nothing };
+                if left == OdometryPart::Everything {
+                    left = OdometryPart::Along(direction_rad);
+                }
+            }
+        }
+        if has_odometry { left } else { OdometryPart::Nothing }
     }
+}
 
-    /// Covariance of these variances of odometry in the axes of the edge's first node: in all directions, or along the one that scans
-    /// leave open.
-    fn repeated_odometry_errors(&self, edge: &Edge, [m2, rad2]: [f64; 2]) -> Matrix3<f64> {
-        let link = self.edges_between(edge.a, edge.b).find(|e| is_scan(e));
-        match link.map(|link| link.degenerate_direction_rad) {
-            None => Matrix3::from_diagonal(&Vector3::new(m2, m2, rad2)),
-            Some(None) => Matrix3::zeros(),
-            Some(Some(direction_rad)) => {
+/// A part of the motion between two nodes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum OdometryPart {
+    Nothing,
+    Everything,
+    /// The part along a direction that scans leave open, radians in the axes of the first node.
+    Along(f64),
+}
+
+impl OdometryPart {
+    /// Covariance of these variances of the position and the heading in the axes of the first node, m² and rad².
+    fn covariance(self, [m2, rad2]: [f64; 2]) -> Matrix3<f64> {
+        match self {
+            Self::Nothing => Matrix3::zeros(),
+            Self::Everything => Matrix3::from_diagonal(&Vector3::new(m2, m2, rad2)),
+            Self::Along(direction_rad) => {
                 let axis = Vector3::new(direction_rad.cos(), direction_rad.sin(), 0.0);
                 axis * axis.transpose() * m2
             }
