@@ -89,7 +89,7 @@ impl Machines<'_> {
                 }
             });
         }
-        merger.compose();
+        merger.update_stale_tiles();
         known_cells(merger.merged())
     }
 

@@ -93,7 +93,7 @@ fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: C
                 merger.update_tiles(robot, map).unwrap();
             }
         }
-        merger.compose();
+        merger.update_stale_tiles();
         if round == 0 {
             for (robot, step) in
                 RobotId::first(robots).flat_map(|robot| (0..=STEPS_BEFORE).map(move |step| (robot, step)))
@@ -101,7 +101,7 @@ fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: C
                 let distance_m = 0.05 * step as f64;
                 merger.add_robot_pose(robot, Pose2::new(distance_m, 0.3 * distance_m, 0.0), 0.105);
             }
-            merger.compose();
+            merger.update_stale_tiles();
         } else {
             milliseconds.push(start.elapsed().as_secs_f64() * 1e3);
         }

@@ -12,7 +12,7 @@
 //!
 //! | file | part |
 //! |---|---|
-//! | `submaps`, `estimate`, `robot` | one robot: what its SLAM sent, where it lies, its redrawn map (`compose`) |
+//! | `submaps`, `estimate`, `robot` | one robot: what its SLAM sent, where it lies, its redrawn map (`draw_submaps`) |
 //! | `edge`, `closures`, `starts`, `pair` | two robots: state and evidence of their edge, relations of their submaps, what their maps say of given starts |
 //! | `alignment` | candidates and checks of whole maps, and when they are due |
 //! | `submap_match` | candidates of closures, verified |
@@ -22,8 +22,8 @@
 
 mod alignment;
 mod closures;
-mod compose;
 mod consistency;
+mod draw_submaps;
 mod edge;
 mod estimate;
 mod frame;
@@ -336,7 +336,7 @@ impl FleetPoseGraph {
             let in_graph = self.a_from_b_in_graph(index)?;
             let [a, b] = robots_of_pair(index).map(|robot| &self.robots[robot]);
             let nodes = a.submaps.node_count() + b.submaps.node_count();
-            let is_out = pair.edge.is_rejected(in_graph) || pair.edge.is_refuted(in_graph, nodes);
+            let is_out = pair.edge.is_rejected(in_graph) || pair.edge.is_retracted(in_graph, nodes);
             if is_out { None } else { pair.closures.next_match(index, [a, b], &self.config) }
         })
     }

@@ -22,7 +22,7 @@ mod limits;
 mod merger;
 mod resample;
 mod robot_map;
-mod swept_path;
+mod swept_area;
 
 pub use align::{Alignment, align, align_near};
 pub use config::{AlignConfig, CheckConfig, ClosureConfig, InvalidMergeConfig, MergeConfig, WallConfig};

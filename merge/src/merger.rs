@@ -182,7 +182,7 @@ impl Merger {
     }
 
     /// Recomputes the tiles that may have changed. A tile that comes out equal stays the same [`Arc`].
-    pub fn compose(&mut self) {
+    pub fn update_stale_tiles(&mut self) {
         let extent = self.merged.extent();
         for ((x, y), stale) in extent.points().zip(&mut self.stale) {
             if std::mem::take(stale) {
@@ -198,13 +198,13 @@ impl Merger {
     ///
     /// Its cells are squares of a lattice that never moves. Stamp and `scan_sent` are those of the newest map in it.
     pub fn merged_tiles(&mut self) -> &TileMap {
-        self.compose();
+        self.update_stale_tiles();
         &self.merged
     }
 
     /// The known part of the merged map as one grid, up to date; without cells before the first map.
     pub fn merged(&mut self) -> GridView<'_> {
-        self.compose();
+        self.update_stale_tiles();
         self.grid.update(&self.merged)
     }
 

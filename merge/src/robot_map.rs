@@ -1,7 +1,7 @@
 //! One robot's newest map and its place on the lattice of the merged map.
 
 use crate::resample::Resampler;
-use crate::swept_path::SweptPath;
+use crate::swept_area::SweptArea;
 use msg::{Grid, GridHeader, GridView, IndexRect, MapHeader, MapTile, Pose2, TileMap};
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ pub(crate) struct RobotMap {
     /// Tiles of the lattice that `drawn` reaches.
     pub tiles: IndexRect,
     /// The area that the robot swept most recently.
-    pub path: SweptPath,
+    pub path: SweptArea,
     /// Tiles of the lattice that `path` touches; none while the transform is unknown.
     pub path_tiles: IndexRect,
 }

@@ -3,6 +3,22 @@
 use msg::Pose2;
 use nalgebra::{Matrix3, Vector3};
 
+/// Standard deviations of a relative pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseSigmas {
+    /// Of the position along each axis, metres.
+    pub position_m: f64,
+    /// Of the heading, radians.
+    pub heading_rad: f64,
+}
+
+impl PoseSigmas {
+    /// The information of independent errors of this size, see [`information_from_sigmas`].
+    pub fn information(self) -> Matrix3<f64> {
+        information_from_sigmas(self.position_m, self.heading_rad)
+    }
+}
+
 /// The information of independent standard deviations of the position (metres, each axis) and of
 /// the heading (radians).
 pub fn information_from_sigmas(sigma_m: f64, sigma_rad: f64) -> Matrix3<f64> {

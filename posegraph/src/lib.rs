@@ -48,7 +48,7 @@ mod solver;
 
 pub use edge::Edge;
 pub use information::{
-    information_from_sigmas, information_without_axis, limit_information, transport_information,
+    PoseSigmas, information_from_sigmas, information_without_axis, limit_information, transport_information,
 };
 pub use kernel::Kernel;
 pub use solver::{SolveError, SolverOptions, Summary, Termination, cost, solve};

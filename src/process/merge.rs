@@ -27,8 +27,8 @@ use std::time::Duration;
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let done = AtomicBool::new(false);
     let (state, restored) = begin(run, DiskStorage)?;
-    let node = run.attach(Role::Merge, None)?;
-    let mut process = MergeProcess::open(&node, run, &state, &restored)?;
+    let participant = run.attach(Role::Merge, None)?;
+    let mut process = MergeProcess::open(&participant, run, &state, &restored)?;
     std::thread::scope(|scope| {
         let graph_thread = scope.spawn(|| graph_worker::run(run, state, &done));
         let progress = run.progress(Role::Merge, None, WatchedThread::Main);
@@ -248,7 +248,7 @@ impl<P: Ports> MergeProcess<P> {
             // The transforms notify nobody. The merged map does, and its readers then find the transforms.
             self.send_transforms();
             let merger = &mut self.merger;
-            self.heartbeat.measure(|| merger.compose());
+            self.heartbeat.measure(|| merger.update_stale_tiles());
         }
         self.merged.send(self.merger.merged_tiles())
     }
@@ -304,8 +304,8 @@ fn apply_estimate(merger: &mut Merger, estimate: &FleetEstimate) -> u64 {
     robots.map(refused).sum()
 }
 
-/// Tells where a robot has been since the last step: after the maps, so that what they show of it is not older. A
-/// robot that is not located does not know. Nobody is woken for it: a peer's map is what shows a robot where it stands.
+/// Passes the robot's poses to the merger, after its maps. Poses of robots that are not localized are skipped. They wake
+/// nobody: a peer's map is what shows a robot where it stands.
 fn receive_robot_poses<P: Ports>(
     merger: &mut Merger,
     robot: RobotId,

@@ -1,6 +1,6 @@
 //! Alignment of the whole maps of two robots (first stage), and checks of accepted alignments.
 
-use super::compose::{PlacedSubmap, compose};
+use super::draw_submaps::{PlacedSubmap, draw_submaps};
 use super::edge::{CheckVerdict, Evidence};
 use super::pair::{RobotPair, robots_of_pair};
 use super::robot::Robot;
@@ -173,8 +173,8 @@ fn window_start(submaps: &SubmapStore) -> usize {
     if count >= 2 * WINDOW_SUBMAPS { count - WINDOW_SUBMAPS } else { 0 }
 }
 
-fn compose_both([a, b]: &[Vec<PlacedSubmap>; 2]) -> Option<[Grid; 2]> {
-    Some([compose(a)?, compose(b)?])
+fn draw_both([a, b]: &[Vec<PlacedSubmap>; 2]) -> Option<[Grid; 2]> {
+    Some([draw_submaps(a)?, draw_submaps(b)?])
 }
 
 /// Adds what chance reaches to an alignment of two maps.
@@ -186,7 +186,7 @@ fn with_chance([a, b]: [&Grid; 2], alignment: Alignment, config: &AlignConfig) -
 impl AlignJob {
     /// Aligns the maps.
     pub fn run(self) -> AlignmentResult {
-        let found = compose_both(&self.maps).and_then(|[a, b]| {
+        let found = draw_both(&self.maps).and_then(|[a, b]| {
             let alignment = align(a.view(), b.view(), &self.config)?;
             // Only an accepted alignment is compared with chance.
             Some(if alignment.accepted {
@@ -203,7 +203,7 @@ impl AlignJob {
 impl CheckJob {
     /// Compares the maps.
     pub fn run(self) -> CheckResult {
-        let found = compose_both(&self.maps).and_then(|[a, b]| {
+        let found = draw_both(&self.maps).and_then(|[a, b]| {
             let config = &self.config.align;
             let alignment = evaluate(a.view(), b.view(), Pose2::IDENTITY, config)?;
             let submaps = |map: &[PlacedSubmap], other: &Grid| {
@@ -217,7 +217,7 @@ impl CheckJob {
             Some((with_chance([&a, &b], alignment, config), compared))
         });
         let at_starts = self.at_starts.and_then(|(maps, a_from_b)| {
-            let [a, b] = compose_both(&maps)?;
+            let [a, b] = draw_both(&maps)?;
             let config = &self.config.align;
             // Errors of SLAM are no errors of the start: the maps are compared at the nearest place where walls match.
             let near = align_near(a.view(), b.view(), a_from_b, config)
@@ -263,7 +263,7 @@ impl CheckResult {
         if let Some((a_from_b, found)) = self.at_starts.filter(|_| !pair.edge.is_active())
             && pair.starts.record_check(&found, &self.config)
         {
-            pair.edge.refute_at(a_from_b, found, self.nodes);
+            pair.edge.retract_at(a_from_b, found, self.nodes);
             checked.starts_are_contradicted = true;
         }
         checked

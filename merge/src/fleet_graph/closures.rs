@@ -4,7 +4,7 @@ use super::robot::Robot;
 use super::submap_match::{SearchWindow, SubmapMatch, match_submaps};
 use crate::config::MergeConfig;
 use msg::{Grid, Pose2};
-use posegraph::{Edge, Kernel, information_from_sigmas};
+use posegraph::{Edge, Kernel, PoseSigmas};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -18,8 +18,8 @@ const FAILURES_PER_SUBMAP: usize = 4;
 const NEAR_SHARE: f64 = 0.35;
 /// Pairs of submaps looked at for the next match: bounds the time of one search.
 const LOOKED_AT_MAX: usize = 4096;
-/// Standard deviations of an alignment of whole maps, metres and radians.
-const ALIGNMENT_SIGMAS: [f64; 2] = [0.05, 0.01];
+/// Standard deviations of an alignment of whole maps.
+const ALIGNMENT_SIGMAS: PoseSigmas = PoseSigmas { position_m: 0.05, heading_rad: 0.01 };
 /// Standard deviation of a prediction, metres: at a closure, and more for each metre driven from there.
 const PREDICTION_SIGMA_M: [f64; 2] = [0.08, 0.02];
 /// The same in radians.
@@ -169,7 +169,7 @@ impl ClosureSet {
             a: first[0] + ids[0],
             b: first[1] + ids[1],
             a_from_b: i_from_j,
-            information: information_from_sigmas(ALIGNMENT_SIGMAS[0], ALIGNMENT_SIGMAS[1]),
+            information: ALIGNMENT_SIGMAS.information(),
             kernel: Kernel::Quadratic,
         })
     }

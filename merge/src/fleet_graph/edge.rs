@@ -39,14 +39,14 @@ pub(crate) struct MapEdge {
     /// Alignments that the operator rejected.
     rejected: Vec<Pose2>,
     contradictions: u32,
-    refuted: Option<RefutedAlignment>,
+    retracted: Option<RetractedAlignment>,
     /// Why the newest alignment did not make the edge accepted.
     refusal: Option<AlignmentRefusal>,
 }
 
 /// The newest alignment for which the edge was dropped.
 #[derive(Clone, Copy, Debug)]
-struct RefutedAlignment {
+struct RetractedAlignment {
     a_from_b: Pose2,
     /// Nodes of both robots together when the maps contradicted it.
     nodes: u32,
@@ -61,7 +61,7 @@ impl Default for MapEdge {
             found_at_nodes: [0; 2],
             rejected: Vec::new(),
             contradictions: 0,
-            refuted: None,
+            retracted: None,
             refusal: None,
         }
     }
@@ -122,10 +122,10 @@ impl MapEdge {
 
     /// Returns whether the maps contradicted this alignment, and have hardly grown since: `nodes` are those of both
     /// robots together.
-    pub fn is_refuted(&self, a_from_b: Pose2, nodes: u32) -> bool {
-        self.refuted.is_some_and(|refuted| {
-            is_same_alignment(refuted.a_from_b, a_from_b)
-                && f64::from(nodes) < NEW_EVIDENCE_FACTOR * f64::from(refuted.nodes)
+    pub fn is_retracted(&self, a_from_b: Pose2, nodes: u32) -> bool {
+        self.retracted.is_some_and(|retracted| {
+            is_same_alignment(retracted.a_from_b, a_from_b)
+                && f64::from(nodes) < NEW_EVIDENCE_FACTOR * f64::from(retracted.nodes)
         })
     }
 
@@ -159,16 +159,16 @@ impl MapEdge {
 
     /// Drops the edge, which the maps contradict; it is not accepted again before they have grown. `nodes` are those of
     /// both robots together.
-    pub fn refute(&mut self, nodes: u32) {
-        self.refuted = Some(RefutedAlignment { a_from_b: self.a_from_b, nodes });
+    pub fn retract(&mut self, nodes: u32) {
+        self.retracted = Some(RetractedAlignment { a_from_b: self.a_from_b, nodes });
         self.deactivate(EdgeState::Dropped);
     }
 
     /// Records that the maps contradict this relation, which no edge gave.
-    pub fn refute_at(&mut self, a_from_b: Pose2, found: Evidence, nodes: u32) {
+    pub fn retract_at(&mut self, a_from_b: Pose2, found: Evidence, nodes: u32) {
         let alignment = Alignment { a_from_b, ..found.alignment };
         (self.a_from_b, self.evidence) = (a_from_b, Some(Evidence { alignment, ..found }));
-        self.refute(nodes);
+        self.retract(nodes);
     }
 
     /// Removes the edge from the graph.
@@ -202,8 +202,8 @@ impl MapEdge {
         maps_are_complete: bool,
     ) -> bool {
         let alignment = found.alignment;
-        let is_out =
-            self.is_rejected(alignment.a_from_b) || self.is_refuted(alignment.a_from_b, nodes[0] + nodes[1]);
+        let is_out = self.is_rejected(alignment.a_from_b)
+            || self.is_retracted(alignment.a_from_b, nodes[0] + nodes[1]);
         self.refusal = match alignment.refusal {
             Some(refusal) => Some(refusal),
             None if alignment.occupied_f1 < found.null_f1_max + f1_above_chance_min => {
@@ -250,7 +250,7 @@ impl MapEdge {
     pub fn apply_solution(&mut self, a_from_b: Pose2, closures: usize, nodes: u32) {
         if self.is_active() || closures >= CLOSURES_MIN {
             self.a_from_b = a_from_b;
-            let is_out = self.is_rejected(a_from_b) || self.is_refuted(a_from_b, nodes);
+            let is_out = self.is_rejected(a_from_b) || self.is_retracted(a_from_b, nodes);
             if !self.is_active() && !is_out {
                 self.state = EdgeState::Accepted;
             }

@@ -67,8 +67,8 @@ impl RobotEstimate {
     }
 
     /// Applies a solution. The published transform moves only if it is off by more than [`TOLERANCE_M`] somewhere.
-    pub fn apply(&mut self, at_submaps: Vec<Pose2>, submaps: &SubmapStore) {
-        self.map_from_robot_map_at_submaps = at_submaps;
+    pub fn apply(&mut self, map_from_robot_map_at_submaps: Vec<Pose2>, submaps: &SubmapStore) {
+        self.map_from_robot_map_at_submaps = map_from_robot_map_at_submaps;
         let Some(newest) = self.map_from_robot_map_at_submaps.last().copied() else { return };
         let current = self.map_from_robot_map.map(|transform| self.errors_m(transform, submaps));
         match current {

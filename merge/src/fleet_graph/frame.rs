@@ -73,12 +73,12 @@ pub(crate) fn connect_robots(robots: &mut [Robot], pairs: &[RobotPair], referenc
     for _ in 0..robots.len() {
         for (index, pair) in pairs.iter().enumerate().filter(|(_, pair)| pair.edge.is_active()) {
             let ([a, b], a_from_b) = (robots_of_pair(index), pair.edge.a_from_b());
-            for (from, to, from_from_to) in [(a, b, a_from_b), (b, a, a_from_b.inverse())] {
-                if connected[from] && !connected[to] {
-                    connected[to] = true;
-                    let Some(map_from_from) = robots[from].estimate.map_from_robot_map() else { continue };
-                    if robots[to].estimate.map_from_robot_map().is_none() {
-                        robots[to].estimate.set_transform(Some(map_from_from * from_from_to));
+            for (near, far, near_from_far) in [(a, b, a_from_b), (b, a, a_from_b.inverse())] {
+                if connected[near] && !connected[far] {
+                    connected[far] = true;
+                    let Some(map_from_near) = robots[near].estimate.map_from_robot_map() else { continue };
+                    if robots[far].estimate.map_from_robot_map().is_none() {
+                        robots[far].estimate.set_transform(Some(map_from_near * near_from_far));
                     }
                 }
             }

@@ -9,14 +9,14 @@ use super::robot::Robot;
 use super::submaps::distances_along_m;
 use crate::config::ClosureConfig;
 use msg::{Pose2, pose::wrap_angle};
-use posegraph::{Edge, Kernel, SolveError, SolverOptions, information_from_sigmas, solve};
+use posegraph::{Edge, Kernel, PoseSigmas, SolveError, SolverOptions, solve};
 
-/// Standard deviations of a given start, metres and radians: what a tape measure and an eye along a wall reach.
-const START_SIGMAS: [f64; 2] = [0.03, 0.01];
+/// Standard deviations of a given start: what a tape measure and an eye along a wall reach.
+const START_SIGMAS: PoseSigmas = PoseSigmas { position_m: 0.03, heading_rad: 0.01 };
 /// Kernel of a given start, which may be wrong: closures that agree with each other pull the robot away from it.
 const START_KERNEL: Kernel = Kernel::Cauchy { sigmas: 3.0 };
-/// Standard deviations of the reference robot in the frame that it defines, metres and radians: practically fixed.
-const REFERENCE_SIGMAS: [f64; 2] = [1e-3, 1e-4];
+/// Standard deviations of the reference robot in the frame that it defines: practically fixed.
+const REFERENCE_SIGMAS: PoseSigmas = PoseSigmas { position_m: 1e-3, heading_rad: 1e-4 };
 
 /// Each solution may bring maps together that were far apart, hence graduated. It runs to 10 µm in at most 20 iterations:
 /// nothing waits for it, and the next solution begins from it.
@@ -129,7 +129,7 @@ impl JointProblem {
             robot.estimate.configured_map_from_robot_map().map(|start| (start, START_SIGMAS, START_KERNEL));
         let frame =
             |reference: ReferenceRobot| (reference.map_from_robot_map, REFERENCE_SIGMAS, Kernel::Quadratic);
-        if let Some((map_from_robot_map, [m, rad], kernel)) = start.or(reference.map(frame)) {
+        if let Some((map_from_robot_map, sigmas, kernel)) = start.or(reference.map(frame)) {
             if start.is_some() {
                 self.starts.push((self.robots.len() - 1, self.edges.len()));
             }
@@ -137,7 +137,7 @@ impl JointProblem {
                 a: 0,
                 b: first,
                 a_from_b: map_from_robot_map * own[0],
-                information: information_from_sigmas(m, rad),
+                information: sigmas.information(),
                 kernel,
             });
         }
@@ -249,9 +249,9 @@ impl JointSolution {
 
     /// Applies the solution's transforms to the robots, and updates the pairs.
     pub fn apply(self, robots: &mut [Robot], pairs: &mut [RobotPair]) {
-        for (robot, at_submaps) in self.robots {
+        for (robot, map_from_robot_map_at_submaps) in self.robots {
             if robots[robot].estimate.map_from_robot_map().is_some() {
-                robots[robot].apply_solution(at_submaps);
+                robots[robot].apply_solution(map_from_robot_map_at_submaps);
             }
         }
         for SolvedPair { pair, active, residual_m } in self.pairs {

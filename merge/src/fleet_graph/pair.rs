@@ -50,7 +50,7 @@ impl RobotPair {
     /// Drops the edge, because the maps contradict it, and the closures with it. `nodes` are those of both robots
     /// together.
     pub fn drop_edge(&mut self, nodes: u32) {
-        self.edge.refute(nodes);
+        self.edge.retract(nodes);
         self.clear_evidence();
     }
 

@@ -1,6 +1,6 @@
 //! One robot of the fleet: its submaps, where they lie, and its map redrawn from them.
 
-use super::compose::{PlacedSubmap, compose};
+use super::draw_submaps::{PlacedSubmap, draw_submaps};
 use super::estimate::{RobotEstimate, TOLERANCE_M, distance_at_m};
 use super::submaps::{SubmapSource, SubmapStore};
 use msg::{Grid, Pose2};
@@ -27,8 +27,8 @@ struct RedrawnMap {
     /// Frame `robotK/map`. Without cells if it could not be drawn.
     grid: Arc<Grid>,
     version: u64,
-    transform: Pose2,
-    at_submaps: Vec<Pose2>,
+    map_from_robot_map: Pose2,
+    map_from_robot_map_at_submaps: Vec<Pose2>,
 }
 
 /// Work: draw a robot's map from its submaps.
@@ -36,8 +36,8 @@ struct RedrawnMap {
 pub(crate) struct RedrawJob {
     robot: usize,
     version: u64,
-    transform: Pose2,
-    at_submaps: Vec<Pose2>,
+    map_from_robot_map: Pose2,
+    map_from_robot_map_at_submaps: Vec<Pose2>,
     placed: Vec<PlacedSubmap>,
 }
 
@@ -88,8 +88,8 @@ impl Robot {
     }
 
     /// Applies a solution of the joint graph: frame `map` from frame `robotK/map` at each submap.
-    pub fn apply_solution(&mut self, at_submaps: Vec<Pose2>) {
-        self.estimate.apply(at_submaps, &self.submaps);
+    pub fn apply_solution(&mut self, map_from_robot_map_at_submaps: Vec<Pose2>) {
+        self.estimate.apply(map_from_robot_map_at_submaps, &self.submaps);
         if !self.estimate.is_deformed() {
             self.redrawn = None;
         }
@@ -118,16 +118,18 @@ impl Robot {
     /// Whether the robot's map is deformed, and the redrawn one is missing or off by more than [`TOLERANCE_M`].
     fn needs_redraw(&self) -> bool {
         let estimate = &self.estimate;
-        let Some(transform) = estimate.map_from_robot_map().filter(|_| estimate.is_deformed()) else {
+        let Some(map_from_robot_map) = estimate.map_from_robot_map().filter(|_| estimate.is_deformed())
+        else {
             return false;
         };
         let Some(drawn) = &self.redrawn else { return true };
-        if drawn.version != self.submaps.version() || drawn.transform != transform {
+        if drawn.version != self.submaps.version() || drawn.map_from_robot_map != map_from_robot_map {
             return true;
         }
         let moved_m = |id: usize| {
             let centre = self.submaps.centre_m(id)?;
-            let before = drawn.at_submaps.get(id).or(drawn.at_submaps.last())?;
+            let before =
+                drawn.map_from_robot_map_at_submaps.get(id).or(drawn.map_from_robot_map_at_submaps.last())?;
             Some(distance_at_m(*before, estimate.at_submap(id)?, centre))
         };
         (0..self.submaps.poses().len()).filter_map(moved_m).any(|m| m > TOLERANCE_M)
@@ -137,23 +139,26 @@ impl Robot {
 /// Returns the next redraw that is due.
 pub(crate) fn next_redraw(robots: &[Robot]) -> Option<RedrawJob> {
     let (index, robot) = robots.iter().enumerate().find(|(_, robot)| robot.needs_redraw())?;
-    let transform = robot.estimate.map_from_robot_map()?;
+    let map_from_robot_map = robot.estimate.map_from_robot_map()?;
     Some(RedrawJob {
         robot: index,
         version: robot.submaps.version(),
-        transform,
-        at_submaps: robot.estimate.map_from_robot_map_at_submaps().to_vec(),
-        placed: robot.placed_in(transform.inverse()),
+        map_from_robot_map,
+        map_from_robot_map_at_submaps: robot.estimate.map_from_robot_map_at_submaps().to_vec(),
+        placed: robot.placed_in(map_from_robot_map.inverse()),
     })
 }
 
 impl RedrawJob {
     /// Draws the map.
     pub fn run(self) -> Redrawn {
-        let Self { robot, version, transform, at_submaps, placed } = self;
+        let Self { robot, version, map_from_robot_map, map_from_robot_map_at_submaps, placed } = self;
         // A map that cannot be drawn is empty: the robot then keeps the one it draws itself.
-        let grid = Arc::new(compose(&placed).unwrap_or_default());
-        Redrawn { robot, map: RedrawnMap { grid, version, transform, at_submaps } }
+        let grid = Arc::new(draw_submaps(&placed).unwrap_or_default());
+        Redrawn {
+            robot,
+            map: RedrawnMap { grid, version, map_from_robot_map, map_from_robot_map_at_submaps },
+        }
     }
 }
 

@@ -73,11 +73,11 @@ impl StartsOfPair {
         }
         if alignment.occupied_f1 < config.check.f1_min && alignment.score_m <= CONTRADICTED_SCORE_M {
             self.contradictions += 1;
-            let is_refuted = self.contradictions >= config.check.contradictions_max;
-            if is_refuted {
+            let is_contradicted = self.contradictions >= config.check.contradictions_max;
+            if is_contradicted {
                 self.contradict();
             }
-            return is_refuted;
+            return is_contradicted;
         }
         self.contradictions = 0;
         if alignment.occupied_f1 >= found.null_f1_max + config.align.f1_above_chance_min {

@@ -1,15 +1,15 @@
 //! The submaps of one robot, as its SLAM sent them.
 
-use super::compose::PlacedSubmap;
+use super::draw_submaps::PlacedSubmap;
 use crate::limits::{RESOLUTION_M, is_plausible};
 use msg::{Grid, Pose2, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses};
 use nalgebra::Matrix3;
-use posegraph::{Edge, Kernel, information_from_sigmas};
+use posegraph::{Edge, Kernel, PoseSigmas};
 use std::sync::Arc;
 
-/// Standard deviations, metres and radians, of the relation between two successive submaps that SLAM has not linked.
+/// Standard deviations of the relation between two successive submaps that SLAM has not linked.
 /// It keeps them in one graph, and is weaker than every other edge.
-const UNKNOWN_LINK_SIGMAS: [f64; 2] = [0.5, 0.2];
+const UNKNOWN_LINK_SIGMAS: PoseSigmas = PoseSigmas { position_m: 0.5, heading_rad: 0.2 };
 
 /// Incarnation of a robot's SLAM process, and generation of its submaps within that.
 pub(crate) type SubmapSource = (u64, u32);
@@ -168,7 +168,7 @@ impl SubmapStore {
                 *linked = true;
             }
         }
-        let loose = information_from_sigmas(UNKNOWN_LINK_SIGMAS[0], UNKNOWN_LINK_SIGMAS[1]);
+        let loose = UNKNOWN_LINK_SIGMAS.information();
         edges.extend((1..self.poses.len()).filter(|b| !linked[*b]).map(|b| between(b - 1, b, loose)));
         edges
     }

@@ -20,12 +20,12 @@ const RADIUS_M_MAX: f64 = 2.0;
 
 /// The newest poses of one robot in `robotK/map`, oldest first, and the radius of its body.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct SweptPath {
+pub(crate) struct SweptArea {
     points_m: VecDeque<[f64; 2]>,
     radius_m: f64,
 }
 
-impl SweptPath {
+impl SweptArea {
     /// Appends the robot's newest pose. False if the path stays as it was.
     pub fn add_pose(&mut self, robot_map_from_base: Pose2, radius_m: f64) -> bool {
         if !(is_plausible(robot_map_from_base) && radius_m > 0.0 && radius_m <= RADIUS_M_MAX) {

@@ -24,7 +24,7 @@ const _: () = assert!(msg::SUBMAPS_MAX as i32 * (LOG_ODDS_MIN as i32) > SWEPT_FR
 
 /// Adds the log-odds of all submaps in one grid of the first one's resolution, aligned with the frame's axes at whole
 /// multiples of it. `None` without submaps, or if the grid would be too large.
-pub(crate) fn compose(placed: &[PlacedSubmap]) -> Option<Grid> {
+pub(crate) fn draw_submaps(placed: &[PlacedSubmap]) -> Option<Grid> {
     let resolution_m = placed.first()?.grid.header.resolution_m;
     let mut hull = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
     for submap in placed {
@@ -139,9 +139,9 @@ mod tests {
                 .iter()
                 .map(|(x, y, yaw, seed)| PlacedSubmap { grid: submap(*seed, 9, 13), frame_from_submap: Pose2::new(*x, *y, *yaw) })
                 .collect();
-            let forward = compose(&placed).unwrap();
+            let forward = draw_submaps(&placed).unwrap();
             placed.reverse();
-            prop_assert_eq!(compose(&placed).unwrap().cells, forward.cells);
+            prop_assert_eq!(draw_submaps(&placed).unwrap().cells, forward.cells);
         }
     }
 
@@ -151,7 +151,7 @@ mod tests {
             (x_m, y_m, yaw_rad, seed) in (-3.0..3.0, -3.0..3.0, -3.0..3.0_f64, any::<u64>()),
         ) {
             let placed = PlacedSubmap { grid: submap(seed, 9, 13), frame_from_submap: Pose2::new(x_m, y_m, yaw_rad) };
-            let whole = compose(std::slice::from_ref(&placed)).unwrap();
+            let whole = draw_submaps(std::slice::from_ref(&placed)).unwrap();
             let grid = whole.view();
             for (y, x) in (0..grid.header.height).flat_map(|y| (0..grid.header.width).map(move |x| (y, x))) {
                 let (x, y) = (i64::from(x), i64::from(y));
@@ -170,7 +170,7 @@ mod tests {
     fn one_submap_at_the_origin_is_copied() {
         let grid = submap(7, 20, 11);
         let whole =
-            compose(&[PlacedSubmap { grid: grid.clone(), frame_from_submap: Pose2::IDENTITY }]).unwrap();
+            draw_submaps(&[PlacedSubmap { grid: grid.clone(), frame_from_submap: Pose2::IDENTITY }]).unwrap();
         for y in 0..11 {
             for x in 0..20 {
                 let [px, py] = grid.view().centre_m(x, y);
@@ -183,8 +183,8 @@ mod tests {
 
     #[test]
     fn no_submaps_and_too_large_grids_give_none() {
-        assert!(compose(&[]).is_none());
+        assert!(draw_submaps(&[]).is_none());
         let far = |x| PlacedSubmap { grid: submap(1, 5, 5), frame_from_submap: Pose2::new(x, x, 0.0) };
-        assert!(compose(&[far(0.0), far(1e4)]).is_none());
+        assert!(draw_submaps(&[far(0.0), far(1e4)]).is_none());
     }
 }
