@@ -105,7 +105,8 @@ fn main() {
 /// How many scans it took, and where the robot was then said to be.
 fn put_down(session: &Session, lines: &[Line], costs: &mut Vec<f64>) -> (usize, Option<(Stamp, Pose2)>) {
     let kept = Some(session.clone());
-    let mut slam = Slam::begin(recorded_log_slam(), kept, SlamMode::Localization, InitialPose::Unknown);
+    let mut slam =
+        Slam::create_or_resume(recorded_log_slam(), kept, SlamMode::Localization, InitialPose::Unknown);
     for (n, line) in lines.iter().enumerate() {
         let pose_estimate = feed(&mut slam, line);
         let (before, searches) = (cpu_ms(), slam.back_counts().relocalization.searches);

@@ -348,9 +348,9 @@ fn replay(log: &[u8], task: &Task, sums: &Arc<StageSums>) -> Result<Replayed, St
         let mut message = Box::new(Scan::zeroed());
         for (seq, line) in std::iter::once(first).chain(lines).enumerate() {
             line.write_to(&mut message, seq as u64, varied.fov_deg.map(f64::to_radians));
-            let (took, step) = scan(&mut front, &line, &message, &frame_updates);
+            let (took, result) = scan(&mut front, &line, &message, &frame_updates);
             scans.push(took);
-            if let Some(node) = step.node {
+            if let Some(node) = result.node {
                 let _ = to_back.send(node);
             }
         }
@@ -370,17 +370,17 @@ fn scan(
 ) -> (Took, ScanResult) {
     let header = msg::Header { stamp: line.stamp, ..Default::default() };
     let odometry = Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() };
-    let mut step = None;
+    let mut result = None;
     let (wall, cpu) = (Instant::now(), thread_cpu_ns());
     let counted = measure(|| {
         front.add_odometry(&odometry);
         frame_updates.try_iter().for_each(|frame_update| front.add_frame_update(frame_update));
-        step = Some(front.process(message));
+        result = Some(front.process(message));
     });
     let (wall_ns, cpu_ns) = (wall.elapsed().as_nanos() as u64, thread_cpu_ns() - cpu);
-    let step = step.expect("the scan was processed");
-    let nodes = step.pose_estimate.nodes;
-    (Took { wall_ns, cpu_ns, nodes, allocations: counted.count_total }, step)
+    let result = result.expect("the scan was processed");
+    let nodes = result.pose_estimate.nodes;
+    (Took { wall_ns, cpu_ns, nodes, allocations: counted.count_total }, result)
 }
 
 fn work_beside(

@@ -29,7 +29,7 @@ pub struct Trajectory {
 pub struct Relation {
     from_s: f64,
     to_s: f64,
-    from_from_to: Pose2,
+    start_from_end: Pose2,
 }
 
 /// Errors of the relations that could be compared.
@@ -179,7 +179,7 @@ impl Trajectory {
 pub fn parse(text: &str) -> Result<Vec<Relation>, String> {
     let relation = |row: &[f64]| match *row {
         [from_s, to_s, x, y, _, _, _, yaw] => {
-            Some(Relation { from_s, to_s, from_from_to: Pose2::new(x, y, yaw) })
+            Some(Relation { from_s, to_s, start_from_end: Pose2::new(x, y, yaw) })
         }
         _ => None,
     };
@@ -210,7 +210,7 @@ pub fn errors(
         let from = estimate.at(relation.from_s, odometry, near_s);
         let to = estimate.at(relation.to_s, odometry, near_s);
         let Some((from, to)) = from.zip(to) else { continue };
-        let error = relation.from_from_to.between(from.between(to));
+        let error = relation.start_from_end.between(from.between(to));
         let away_m = error.x_m.hypot(error.y_m);
         errors.count += 1;
         errors.mean_m += away_m;

@@ -127,7 +127,8 @@ fn put_down(
 ) -> Option<(usize, Pose2, f64)> {
     let session = Session { front: None, ..session.clone() };
     let begun = thread_cpu_ns();
-    let mut slam = Slam::begin(config.clone(), Some(session), SlamMode::Localization, InitialPose::Unknown);
+    let mut slam =
+        Slam::create_or_resume(config.clone(), Some(session), SlamMode::Localization, InitialPose::Unknown);
     prepared.push(thread_cpu_ns() - begun);
     let mut way_m = 0.0;
     for (i, line) in lines.iter().enumerate() {

@@ -21,7 +21,7 @@ fuzz_target!(|bytes: &[u8]| {
     assert!(again.is_ok_and(|again| again.encode() == session.encode()));
     for mode in SlamMode::ALL {
         for start in [InitialPose::Continue, InitialPose::Unknown] {
-            let mut slam = Slam::begin(SlamConfig::default(), Some(session.clone()), mode, start);
+            let mut slam = Slam::create_or_resume(SlamConfig::default(), Some(session.clone()), mode, start);
             let _ = slam.map();
             let _ = slam.trajectory().count();
             let _ = slam.back().closures().count();

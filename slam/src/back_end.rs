@@ -4,7 +4,7 @@
 //!
 //! `links` links a node with older ones, `components` handles those that nothing connects, `loop_closures` remembers
 //! what to search for. `modes` decides what a node is used for; `state` is what a session keeps, `closure_report` what people
-//! take back, `lifelong` what a lasting map removes.
+//! undo, `lifelong` what a lasting map removes.
 
 mod append;
 mod closure_report;
@@ -15,7 +15,7 @@ mod links;
 mod localization_state;
 mod loop_closures;
 mod modes;
-mod node_numbers;
+mod node_id_map;
 mod odometry_noise;
 mod reliability;
 mod retracted;
@@ -32,7 +32,7 @@ pub use state::BackEndState;
 
 use crate::closure::{ClosureCandidate, ClosureSearchCounts, ClosureSearchResult, GraphView};
 use crate::config::SlamConfig;
-use crate::graph::{EdgeKind, Graph, RelativeUncertainty};
+use crate::graph::{EdgeKind, Graph, PoseVariances, RelativeUncertainty};
 use crate::localizer::{Localizer, LocalizerCounts};
 use crate::mapper::OccupancyMapper;
 use crate::node::{MapFrameUpdate, Node};
@@ -42,18 +42,21 @@ use lifelong::Lifelong;
 use localization_state::LocalizationState;
 use loop_closures::LoopClosureState;
 use msg::{GridView, Header, Monotonic, TileMap};
-use node_numbers::NodeNumbers;
+use node_id_map::NodeIdMap;
 use odometry_noise::OdometryNoise;
+use posegraph::PoseSigmas;
 
 /// Nodes this many before and after a closure are linked again: 3 m, where they now overlap.
 const RELINK_NODES: u32 = 10;
 /// Searches that `finish` makes at most: a few seconds.
 const LAST_SEARCHES_MAX: usize = 64;
-/// Standard deviations of an odometry break, metres and radians: weaker than any measurement.
-const BREAK_M: f64 = 100.0;
-const BREAK_RAD: f64 = 3.0;
-/// Variances of the same for the propagation of uncertainty, m² and rad².
-const BREAK_VARIANCE: [f64; 2] = [BREAK_M * BREAK_M, BREAK_RAD * BREAK_RAD];
+/// Standard deviations of the edge at an odometry break: weaker than any measurement.
+const BREAK_SIGMAS: PoseSigmas = PoseSigmas { position_m: 100.0, heading_rad: 3.0 };
+/// Variances of the same for the propagation of uncertainty.
+const BREAK_VARIANCES: PoseVariances = PoseVariances {
+    worst_axis_m2: BREAK_SIGMAS.position_m * BREAK_SIGMAS.position_m,
+    heading_rad2: BREAK_SIGMAS.heading_rad * BREAK_SIGMAS.heading_rad,
+};
 
 /// The back end of one robot's SLAM; see the module.
 ///
@@ -89,14 +92,14 @@ pub struct BackEnd {
     loop_closures: LoopClosureState,
     location: LocalizationState,
     lifelong: Lifelong,
-    numbers: NodeNumbers,
+    node_ids: NodeIdMap,
     odometry_noise: OdometryNoise,
     reliability: ReliabilityMonitor,
     mapper: OccupancyMapper,
     /// The newest node that odometry alone connects with the nodes before: whether that is right is not yet verified.
     unverified_node: Option<u32>,
     /// Nodes linked to older parts of the map since the last solution.
-    unsolved: usize,
+    linked_since_solve: usize,
     /// Solutions of the whole graph so far.
     solutions: u64,
     stages: Box<dyn StageObserver>,
@@ -140,12 +143,12 @@ impl BackEnd {
             loop_closures: LoopClosureState::new(config.clone()),
             location: LocalizationState::new(),
             lifelong: Lifelong::default(),
-            numbers: NodeNumbers::default(),
+            node_ids: NodeIdMap::default(),
             odometry_noise: OdometryNoise::new(),
             reliability: ReliabilityMonitor::default(),
             mapper: OccupancyMapper::new(config.map.clone()),
             unverified_node: None,
-            unsolved: 0,
+            linked_since_solve: 0,
             solutions: 0,
             stages: Box::new(()),
             config,
@@ -160,7 +163,7 @@ impl BackEnd {
     /// Adds the next node of the front end, as the mode wants it: locates the robot with it, or grows the map.
     pub fn add_node(&mut self, node: Node) -> MapFrameUpdate {
         let node = node.into_owned();
-        self.numbers.newest_front = node.id;
+        self.node_ids.newest_front = node.id;
         self.process_node(node);
         self.update_reliability();
         self.stages.stage_started(Stage::Idle);
@@ -181,9 +184,9 @@ impl BackEnd {
         self.learn_odometry_noise(id);
         let relative = self.uncertainty_from(id);
         let linked = self.link_near(id, &relative);
-        self.unsolved += usize::from(linked > 0);
+        self.linked_since_solve += usize::from(linked > 0);
         self.graph.update_newest_covariance();
-        self.judge_newest_position();
+        self.check_newest_position_uncertainty();
         // Verify an odometry edge that no scan has confirmed.
         self.check_unverified_node(id, &relative);
         let unplaced = !self.newest_is_placed();
@@ -194,7 +197,7 @@ impl BackEnd {
             self.retry_closure();
         }
         // Solve the graph when enough of it is new.
-        if self.unsolved as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
+        if self.linked_since_solve as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
             self.solve(false);
         }
         // Search for the node in the components that nothing connects it with.
@@ -212,7 +215,7 @@ impl BackEnd {
             left -= 1;
         }
         self.solve(false);
-        self.renew_reliability();
+        self.recompute_reliability();
         self.stages.stage_started(Stage::Idle);
     }
 
@@ -236,7 +239,7 @@ impl BackEnd {
         while let Some(id) = self.loop_closures.to_retry.pop_front() {
             self.stages.stage_started(Stage::Link);
             let relative = self.uncertainty_from(id);
-            self.unsolved += usize::from(self.link_near(id, &relative) > 0);
+            self.linked_since_solve += usize::from(self.link_near(id, &relative) > 0);
             self.stages.stage_started(Stage::Closure);
             let view = GraphView { nodes: &self.nodes, graph: &self.graph };
             match self.loop_closures.detector.search(&view, id, &relative, self.loop_closures.travelled_m) {
@@ -259,7 +262,7 @@ impl BackEnd {
             retracted: self.loop_closures.retracted,
             solutions: self.solutions,
             failed_solutions: self.failed_solutions(),
-            not_drawn: self.mapper.clipped(),
+            not_drawn: self.mapper.nodes_not_drawn(),
             searches: self.loop_closures.detector.counts(),
             relocalization: self.location.relocalization_counts(),
             localized: self.location.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
@@ -324,7 +327,7 @@ impl BackEnd {
         }
         self.align_components(&closures[closures.len() - 1]);
         for closure in &closures {
-            let information = self.limited(closure.information);
+            let information = self.limit_information(closure.information);
             let (a, b) = (closure.older, closure.newer);
             let drift = self.drift(closure.older_from_newer);
             self.graph.add_edge([a, b], closure.older_from_newer, information, EdgeKind::Closure, drift);
@@ -358,11 +361,11 @@ impl BackEnd {
         // After an error, which the graph counts, the poses are what they were: the map stays as it is.
         let _ = self.graph.solve(graduated);
         self.solutions += 1;
-        self.unsolved = 0;
+        self.linked_since_solve = 0;
         self.retract_contradicted();
     }
 
-    /// Takes back closures that the solved graph contradicts.
+    /// Retracts closures that the solved graph contradicts.
     fn retract_contradicted(&mut self) {
         let limit = self.config.graph.retract_sigmas.powi(2);
         let contradicted: Vec<usize> = (0..self.graph.edges().len())

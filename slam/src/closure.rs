@@ -36,10 +36,10 @@ const REACH_M: f32 = 20.0;
 pub(crate) const COMPARED_SCANS: usize = 6;
 /// Least number of nodes before the newest that are searched for with it.
 const QUERY_NODES_MIN: u32 = 5;
-/// Passes tried in one search: a second one where two lie near by.
-const TRIES: usize = 2;
-/// Nodes nearer to each other in order than this are linked, not searched for.
-const AGO_NODES: u32 = 12;
+/// Most passes tried in one search: a second one where two lie near by.
+const PASSES_MAX: usize = 2;
+/// Nodes no farther from each other in order than this are linked, not searched for.
+const NODE_GAP_MIN: u32 = 12;
 /// A pose nearer to the best one than this is the same place, metres.
 const SAME_PLACE_M: f64 = 0.6;
 /// A pose turned by less than this against the best one is the same place, radians.
@@ -187,7 +187,7 @@ impl ClosureDetector {
         self.counts.unconfirmed += (before - self.pending.len()) as u64;
     }
 
-    /// Nearest nodes of up to [`TRIES`] earlier passes that may be here, given what is known.
+    /// Nearest nodes of up to [`PASSES_MAX`] earlier passes that may be here, given what is known.
     /// Only nodes of the same component count: an unplaced one may be anywhere.
     fn candidates(
         &self,
@@ -200,13 +200,13 @@ impl ClosureDetector {
         let (c, l) = (&self.config.closures, &self.config.links);
         let here = graph.poses()[node as usize];
         let known = |r: &RelativeUncertainty| {
-            r.position_variance_m2 < l.sigma_max_m.powi(2)
+            r.worst_axis_variance_m2 < l.sigma_max_m.powi(2)
                 && r.heading_variance_rad2 < l.sigma_max_rad.powi(2)
         };
         let mut near: Vec<(f64, u32)> = (0..graph.poses().len() as u32)
             .filter(|id| {
                 let candidate = &view.nodes[*id as usize];
-                id.abs_diff(node) > AGO_NODES
+                id.abs_diff(node) > NODE_GAP_MIN
                     && candidate.disconnected_component == component
                     && self.sees_enough(candidate)
             })
@@ -215,7 +215,8 @@ impl ClosureDetector {
                 if relative.as_ref().is_some_and(known) || !errors.has_effect(relative) {
                     return None;
                 }
-                let sigma_m = relative.map_or(f64::INFINITY, |r| errors.apply(r).position_variance_m2.sqrt());
+                let sigma_m =
+                    relative.map_or(f64::INFINITY, |r| errors.apply(r).worst_axis_variance_m2.sqrt());
                 let reach = c.radius_m + (c.window_sigmas * sigma_m).min(c.window_max_m);
                 let distance = here.distance_m(graph.poses()[id as usize]);
                 (distance < reach).then_some((distance, id))
@@ -227,7 +228,7 @@ impl ClosureDetector {
             if chosen.iter().all(|other| !self.same_pass(graph, *other, id)) {
                 chosen.push(id);
             }
-            if chosen.len() == TRIES {
+            if chosen.len() == PASSES_MAX {
                 break;
             }
         }
@@ -301,14 +302,14 @@ impl ClosureDetector {
     ) -> SearchWindow {
         let c = &self.config.closures;
         let unknown = RelativeUncertainty {
-            position_variance_m2: UNKNOWN_VARIANCE,
+            worst_axis_variance_m2: UNKNOWN_VARIANCE,
             heading_variance_rad2: UNKNOWN_VARIANCE,
             ..RelativeUncertainty::default()
         };
         let sigmas = relative.unwrap_or(unknown);
         SearchWindow {
             centre: graph.poses()[candidate as usize].between(graph.poses()[node as usize]),
-            half_m: (c.window_sigmas * sigmas.position_variance_m2.sqrt())
+            half_m: (c.window_sigmas * sigmas.worst_axis_variance_m2.sqrt())
                 .clamp(WINDOW_MIN_M, c.window_max_m),
             half_rad: (c.window_sigmas * sigmas.heading_variance_rad2.sqrt())
                 .clamp(WINDOW_MIN_RAD, c.window_max_rad),

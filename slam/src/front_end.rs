@@ -117,6 +117,14 @@ pub struct LastScan {
     pub covariance: Matrix3<f64>,
 }
 
+/// A pose of the robot in the map and by odometry, at one stamp.
+#[derive(Clone, Copy, Debug)]
+struct PoseWithOdometry {
+    map_from_base: Pose2,
+    /// Inverse of the pose in the continuous frame of odometry.
+    base_from_continuous: Pose2,
+}
+
 /// The front end of one robot's SLAM; see the module, and [`BackEnd`](crate::BackEnd) for an example of both.
 pub struct FrontEnd {
     config: SlamConfig,
@@ -127,8 +135,8 @@ pub struct FrontEnd {
     matcher: ScanMatcher,
     node_builder: NodeBuilder,
     frame: LocalFrameInMap,
-    /// The last pose in the map with odometry, and its inverse by odometry: `map_from_base`, `base_from_continuous`.
-    newest_with_odometry: Option<[Pose2; 2]>,
+    /// The last pose in the map at whose stamp there was odometry.
+    newest_with_odometry: Option<PoseWithOdometry>,
     samples: Vec<TrajectorySample>,
     counts: FrontEndCounts,
     stages: Box<dyn StageObserver>,
@@ -301,13 +309,13 @@ impl FrontEnd {
             self.break_path();
         }
         let moved = self.motion.moved_since_reference(continuous_from_base);
-        self.motion.node_continuous_from_base = continuous_from_base;
-        self.motion.node_covariance = pose.covariance;
+        self.motion.continuous_from_reference = continuous_from_base;
+        self.motion.reference_covariance = pose.covariance;
         let node = Node {
             id,
             header: scan.header,
             local_from_base: pose.local_from_base,
-            previous_from_this: self.node_builder.published_from_newest.zip(moved).map(|(a, b)| a * b),
+            previous_from_this: self.node_builder.last_node_from_reference.zip(moved).map(|(a, b)| a * b),
             is_tracked,
             odometry_break: self.frame.last_break == Some(id),
             disconnected_component: None,
@@ -325,7 +333,7 @@ impl FrontEnd {
         }
         self.matcher.add_reference(node.clone(), !is_tracked, &self.config.tracking);
         if !has_capacity {
-            self.node_builder.published_from_newest = node.previous_from_this;
+            self.node_builder.last_node_from_reference = node.previous_from_this;
             self.counts.nodes_held_back += 1;
             return None;
         }

@@ -39,6 +39,15 @@ pub enum EdgeKind {
     OdometryBreak,
 }
 
+/// Variances of a relative pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PoseVariances {
+    /// Of the position along the axis that is known worst, m².
+    pub worst_axis_m2: f64,
+    /// Of the heading, rad².
+    pub heading_rad2: f64,
+}
+
 /// A measured relative pose between two nodes.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Edge {
@@ -57,8 +66,8 @@ pub struct Edge {
     pub kind: EdgeKind,
     /// Whether the edge has effect; false after it was retracted.
     pub is_active: bool,
-    /// Variances for the propagation of uncertainty: position (worst direction) and heading.
-    pub variance: [f64; 2],
+    /// Variances for the propagation of uncertainty.
+    pub variances: PoseVariances,
     /// Of a closure: how well the scans fitted, 0 to 1.
     pub response: f32,
 }
@@ -79,7 +88,7 @@ impl Edge {
             degenerate_direction_rad,
             kind: EdgeKind::ScanMatch,
             is_active: true,
-            variance: [0.0; 2],
+            variances: PoseVariances::default(),
             response: 0.0,
         }
     }
@@ -113,7 +122,7 @@ pub struct Graph {
     poses: Vec<Pose2>,
     /// Covariance of each pose in the map; `None` where no edge says.
     covariances: Vec<Option<pose_covariance::PathCovariance>>,
-    /// The node that they are seen from.
+    /// The node that they are as seen from.
     covariance_reference_node: u32,
     edges: Vec<Edge>,
     /// Variance of links and closures as a multiple of what their information says, by the last solution.
@@ -229,12 +238,15 @@ impl Graph {
             .try_inverse()
             .unwrap_or(Matrix3::identity());
         let plane = covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        let position = plane.symmetric_eigenvalues().max().max(POSITION_VARIANCE_MIN) + drift[0].powi(2);
-        let variance = [position, covariance[(2, 2)].max(HEADING_VARIANCE_MIN) + drift[1].powi(2)];
+        let worst_axis = plane.symmetric_eigenvalues().max().max(POSITION_VARIANCE_MIN);
+        let variances = PoseVariances {
+            worst_axis_m2: worst_axis + drift[0].powi(2),
+            heading_rad2: covariance[(2, 2)].max(HEADING_VARIANCE_MIN) + drift[1].powi(2),
+        };
         let index = self.edges.len() as u32;
         self.edges_of_node[edge.a as usize].push(index);
         self.edges_of_node[edge.b as usize].push(index);
-        self.edges.push(Edge { variance, ..edge });
+        self.edges.push(Edge { variances, ..edge });
     }
 
     /// The active edges from `a` to `b`.

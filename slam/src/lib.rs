@@ -49,7 +49,7 @@ pub use closure::ClosureSearchCounts;
 pub use cloud::{Cloud, CloudScratch, SurfacePoint};
 pub use config::*;
 pub use front_end::{FrontEnd, FrontEndCounts, FrontEndState, ScanRejection, ScanResult, TrajectorySample};
-pub use graph::{Edge, EdgeKind, Graph, RelativeUncertainty, SystematicError};
+pub use graph::{Edge, EdgeKind, Graph, PoseVariances, RelativeUncertainty, SystematicError};
 pub use localizer::LocalizerCounts;
 pub use mapper::OccupancyMapper;
 pub use node::{FrameUncertainty, MapFrameUpdate, Node, Rays, SweptPath};
@@ -104,9 +104,14 @@ impl Slam {
         Self { front: FrontEnd::new(config.clone()), back: BackEnd::new(config), waiting }
     }
 
-    /// SLAM that continues a session, or begins a map in a mode.
-    pub fn begin(config: SlamConfig, session: Option<Session>, mode: SlamMode, start: InitialPose) -> Self {
-        let (front, back) = begin(config, session, mode, start);
+    /// SLAM that resumes a session, or creates a map in a mode.
+    pub fn create_or_resume(
+        config: SlamConfig,
+        session: Option<Session>,
+        mode: SlamMode,
+        initial_pose: InitialPose,
+    ) -> Self {
+        let (front, back) = create_or_resume(config, session, mode, initial_pose);
         Self { front, back, waiting: VecDeque::with_capacity(WAITING_MAX) }
     }
 
@@ -126,14 +131,14 @@ impl Slam {
 
     /// Processes one scan in the front end and returns the robot's pose. [`Slam::work`] updates earlier poses.
     pub fn process(&mut self, scan: &Scan) -> ScanResult {
-        let mut step = self.front.process(scan);
-        if let Some(node) = step.node.take() {
+        let mut result = self.front.process(scan);
+        if let Some(node) = result.node.take() {
             if self.waiting.len() == WAITING_MAX {
                 self.work();
             }
             self.waiting.push_back(node);
         }
-        step
+        result
     }
 
     /// Processes all waiting nodes in the back end: links, closures, solutions. Returns their number.
@@ -204,36 +209,39 @@ pub fn trajectory<'a>(front: &'a FrontEnd, back: &'a BackEnd) -> impl Iterator<I
     back.trajectory(front.samples())
 }
 
-/// A front end and a back end that begin a map, or continue one of a session.
-pub fn begin(
+/// A front end and a back end that resume a session, or create a map.
+pub fn create_or_resume(
     config: SlamConfig,
     session: Option<Session>,
     mode: SlamMode,
-    start: InitialPose,
+    initial_pose: InitialPose,
 ) -> (FrontEnd, BackEnd) {
     let Some(session) = session else {
         let mut back = BackEnd::new(config.clone());
         back.set_mode(mode);
         return (FrontEnd::new(config), back);
     };
-    match (start, session.front) {
+    match (initial_pose, session.front) {
         (InitialPose::Continue, Some(state)) => {
             let mut front = FrontEnd::resume(config.clone(), state, &session.back.nodes);
-            let back = BackEnd::resume(config, session.back, session.samples, mode, start);
+            let back = BackEnd::resume(config, session.back, session.samples, mode, initial_pose);
             // A session does not keep it; the pose of the front end's frame is the session's, to the last bit.
             front.apply_quality(back.latest_frame_update());
             (front, back)
         }
-        (start, _) => {
+        (initial_pose, _) => {
             let empty = session.back.nodes.is_empty().then_some(Pose2::IDENTITY);
             let mut front = FrontEnd::new(config.clone());
-            match start {
+            match initial_pose {
                 InitialPose::Near(estimate) if empty.is_none() => front.set_initial_estimate(estimate),
                 InitialPose::Near(estimate) => front.set_map_from_local(Some(estimate.map_from_local)),
                 InitialPose::Continue | InitialPose::Unknown => front.set_map_from_local(empty),
             }
-            let start = if start == InitialPose::Continue { InitialPose::Unknown } else { start };
-            (front, BackEnd::resume(config, session.back, session.samples, mode, start))
+            let initial_pose = match initial_pose {
+                InitialPose::Continue => InitialPose::Unknown,
+                initial_pose => initial_pose,
+            };
+            (front, BackEnd::resume(config, session.back, session.samples, mode, initial_pose))
         }
     }
 }

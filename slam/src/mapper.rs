@@ -36,7 +36,7 @@ pub struct OccupancyMapper {
     drawn: Vec<DrawnNode>,
     redraw: Option<Redraw>,
     /// Nodes that did not fit into the largest map.
-    clipped: u64,
+    nodes_not_drawn: u64,
     grid: DenseMap,
     cells: NodeCells,
     updates: UpdateTables,
@@ -75,15 +75,15 @@ impl OccupancyMapper {
             map,
             drawn: Vec::new(),
             redraw: None,
-            clipped: 0,
+            nodes_not_drawn: 0,
             grid: DenseMap::default(),
             cells: NodeCells::default(),
         }
     }
 
     /// Number of nodes that are not drawn because the map would have become too large.
-    pub fn clipped(&self) -> u64 {
-        self.clipped
+    pub fn nodes_not_drawn(&self) -> u64 {
+        self.nodes_not_drawn
     }
 
     /// Pose with which each node was drawn; with the nodes it determines the map.
@@ -96,7 +96,7 @@ impl OccupancyMapper {
         self.map = TileMap::new(MapHeader { resolution_m: self.config.resolution_m, ..Default::default() });
         self.drawn.clear();
         self.redraw = None;
-        self.clipped = 0;
+        self.nodes_not_drawn = 0;
         for (node, pose) in nodes.iter().zip(drawn) {
             self.add(node, *pose);
         }
@@ -166,7 +166,7 @@ impl OccupancyMapper {
         let mut drawn = DrawnNode { map_from_base, bounds_m, tiles: IndexRect::default() };
         let tiles = tiles_of(&drawn, self.config.resolution_m);
         if !tiles.is_empty() && !self.map.grow_to(tiles, ROBOT_TILES_MAX) {
-            self.clipped += 1;
+            self.nodes_not_drawn += 1;
         } else {
             drawn.tiles = tiles;
         }
@@ -231,7 +231,7 @@ impl OccupancyMapper {
             let from = if tiles.contains(x, y) { &new } else { &self.map };
             map.set(x, y, from.get(x, y).cloned());
         }
-        self.clipped =
+        self.nodes_not_drawn =
             drawn.iter().filter(|node| node.bounds_m != EMPTY && node.tiles.is_empty()).count() as u64;
         (self.map, self.drawn) = (map, drawn);
     }

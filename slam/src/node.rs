@@ -130,16 +130,16 @@ pub struct FrameUncertainty {
     /// Covariance of the pose, as seen from one node of the map, the first one where all are placed: upper triangle over (x, y, yaw), row by row.
     pub covariance: [f64; 6],
     /// Position of the pose in the map, metres.
-    pub at: [f64; 2],
+    pub position_m: [f64; 2],
 }
 
 /// The back end's result after a node, for the front end.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapFrameUpdate {
     /// The node that caused it.
-    pub cause: u32,
+    pub cause_node: u32,
     /// It takes effect with the scan that makes this node, or the first one after it.
-    pub effective_from: u32,
+    pub effective_from_node: u32,
     /// Pose of the front end's frame in the loop-closed map, by the newest node.
     pub map_from_local: Pose2,
     /// How well that is known: the covariance of the newest node's pose in the map.

@@ -2,14 +2,40 @@
 
 use crate::clock_reset::ClockResetDetector;
 use crate::config::OdometryConfig;
-use msg::{Odometry, Pose2, Stamp, pose::wrap_angle};
+use msg::{Header, Odometry, Pose2, Stamp, pose::wrap_angle};
 use std::collections::VecDeque;
+
+/// One odometry message with its pose in the continuous frame, see [`OdometryBuffer::continuous_from_odom`].
+#[derive(Clone, Copy, Debug)]
+struct BufferedOdometry {
+    header: Header,
+    continuous_from_base: Pose2,
+    linear_m_s: f64,
+    angular_rad_s: f64,
+}
+
+impl BufferedOdometry {
+    fn new(message: &Odometry, continuous_from_base: Pose2) -> Self {
+        let Odometry { header, linear_m_s, angular_rad_s, .. } = *message;
+        Self { header, continuous_from_base, linear_m_s, angular_rad_s }
+    }
+
+    /// As a session stores it: a message whose `odom` is the continuous frame.
+    fn stored(&self) -> Odometry {
+        let Self { header, continuous_from_base, linear_m_s, angular_rad_s } = *self;
+        Odometry { header, odom_from_base: continuous_from_base, linear_m_s, angular_rad_s }
+    }
+
+    /// The element of [`BufferedOdometry::stored`].
+    fn from_stored(stored: &Odometry) -> Self {
+        Self::new(stored, stored.odom_from_base)
+    }
+}
 
 /// The newest odometry messages, ordered by stamp.
 #[derive(Clone, Debug)]
 pub struct OdometryBuffer {
-    /// Messages with poses in the continuous frame, see [`OdometryBuffer::continuous_from_odom`].
-    poses: VecDeque<Odometry>,
+    poses: VecDeque<BufferedOdometry>,
     continuous_from_odom: Pose2,
     config: OdometryConfig,
     rejected: u64,
@@ -58,7 +84,7 @@ impl OdometryBuffer {
         }
         if let Some(last) = last.filter(|last| last.header.incarnation != odometry.header.incarnation) {
             // The restarted driver has a new origin; the robot is assumed to have stood meanwhile.
-            self.continuous_from_odom = last.odom_from_base * odometry.odom_from_base.inverse();
+            self.continuous_from_odom = last.continuous_from_base * odometry.odom_from_base.inverse();
             if self.is_restored {
                 // But after the session was saved and before the driver ended, the robot may have moved.
                 self.poses.clear();
@@ -66,8 +92,8 @@ impl OdometryBuffer {
             }
         }
         self.is_restored = false;
-        let odom_from_base = self.continuous_from_odom * odometry.odom_from_base;
-        self.poses.push_back(Odometry { odom_from_base, ..*odometry });
+        let continuous_from_base = self.continuous_from_odom * odometry.odom_from_base;
+        self.poses.push_back(BufferedOdometry::new(odometry, continuous_from_base));
     }
 
     /// Pose of the writer's odometry frame in the continuous frame, which does not jump when the writer restarts.
@@ -82,9 +108,10 @@ impl OdometryBuffer {
         core::mem::take(&mut self.unknown_motion)
     }
 
-    /// Parts of the buffer for a session: messages, [`OdometryBuffer::continuous_from_odom`], and the number rejected.
+    /// Parts of the buffer for a session: messages whose `odom` is the continuous frame, [`OdometryBuffer::continuous_from_odom`], and the
+    /// number rejected.
     pub fn parts(&self) -> (Vec<Odometry>, Pose2, u64) {
-        (self.poses.iter().copied().collect(), self.continuous_from_odom, self.rejected)
+        (self.poses.iter().map(BufferedOdometry::stored).collect(), self.continuous_from_odom, self.rejected)
     }
 
     /// The buffer of [`OdometryBuffer::parts`].
@@ -96,7 +123,7 @@ impl OdometryBuffer {
     ) -> Self {
         let mut buffer = Self::new(config);
         let newest = &poses[poses.len().saturating_sub(buffer.config.buffer_len)..];
-        buffer.poses.extend(newest);
+        buffer.poses.extend(newest.iter().map(BufferedOdometry::from_stored));
         let is_restored = !buffer.poses.is_empty();
         Self { continuous_from_odom, rejected, is_restored, ..buffer }
     }
@@ -127,7 +154,7 @@ impl OdometryBuffer {
         }
         let after = self.poses.partition_point(|o| o.header.stamp < stamp);
         match (after.checked_sub(1).map(|i| &self.poses[i]), self.poses.get(after)) {
-            (_, Some(b)) if b.header.stamp == stamp => Some(b.odom_from_base),
+            (_, Some(b)) if b.header.stamp == stamp => Some(b.continuous_from_base),
             (Some(a), Some(b)) => Some(interpolate(a, b, stamp)),
             (Some(a), None) => extrapolate(a, stamp - a.header.stamp, self.config.extrapolation_max_s),
             (None, _) => None,
@@ -136,9 +163,9 @@ impl OdometryBuffer {
 }
 
 /// Pose between two messages, linear in position and heading.
-fn interpolate(a: &Odometry, b: &Odometry, stamp: Stamp) -> Pose2 {
+fn interpolate(a: &BufferedOdometry, b: &BufferedOdometry, stamp: Stamp) -> Pose2 {
     let share = (stamp - a.header.stamp) / (b.header.stamp - a.header.stamp);
-    let (from, to) = (a.odom_from_base, b.odom_from_base);
+    let (from, to) = (a.continuous_from_base, b.continuous_from_base);
     Pose2 {
         x_m: from.x_m + share * (to.x_m - from.x_m),
         y_m: from.y_m + share * (to.y_m - from.y_m),
@@ -147,7 +174,7 @@ fn interpolate(a: &Odometry, b: &Odometry, stamp: Stamp) -> Pose2 {
 }
 
 /// Pose after the last message at its speed; `None` beyond `max_s` seconds.
-fn extrapolate(last: &Odometry, ahead_s: f64, max_s: f64) -> Option<Pose2> {
+fn extrapolate(last: &BufferedOdometry, ahead_s: f64, max_s: f64) -> Option<Pose2> {
     if ahead_s > max_s {
         return None;
     }
@@ -155,13 +182,12 @@ fn extrapolate(last: &Odometry, ahead_s: f64, max_s: f64) -> Option<Pose2> {
     let turn = if moving { last.angular_rad_s * ahead_s } else { 0.0 };
     let distance_m = if moving { last.linear_m_s * ahead_s } else { 0.0 };
     let step = Pose2::new(distance_m * (turn / 2.0).cos(), distance_m * (turn / 2.0).sin(), turn);
-    Some(last.odom_from_base * step)
+    Some(last.continuous_from_base * step)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use msg::Header;
 
     fn at(seconds: f64) -> Stamp {
         Stamp::from_seconds(seconds)

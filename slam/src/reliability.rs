@@ -22,7 +22,7 @@ const WINDOW_POINTS_MIN: u32 = 100;
 /// A share of contradicted points from here on is evidence. Right maps of generated logs have at most 0.12.
 const CONTRADICTED_SHARE_MAX: f32 = 0.3;
 /// Steps over which the map is compared with odometry: 2.4 m of path, short enough that a slip of the wheels shows
-/// less than a path torn by a wrong closure.
+/// less than a path that a wrong closure bends.
 const RESIDUAL_STEPS: usize = 8;
 /// Standard deviation of odometry that does not depend on the number of steps, metres: the scans' own noise.
 const RESIDUAL_SIGMA_M: f64 = 0.05;
@@ -277,9 +277,9 @@ mod tests {
         assert!(wall.contradict > 20 && wall.agree > 100, "{wall:?}");
         let nodes = vec![Some(WallAgreement { agree: 300, contradict: 0 }); 30];
         assert_eq!(contradicted_share(&nodes), 0.0);
-        let torn =
+        let bent =
             [nodes, vec![None; 3], vec![Some(WallAgreement { agree: 30, contradict: 70 }); 12]].concat();
-        assert!((contradicted_share(&torn) - 0.7).abs() < 1e-6);
+        assert!((contradicted_share(&bent) - 0.7).abs() < 1e-6);
     }
 
     #[test]

@@ -62,7 +62,7 @@ impl LocalFrameEstimate {
         let (position_m2, heading_rad2) = (self.sigma_m.powi(2), self.sigma_rad.powi(2));
         FrameUncertainty {
             covariance: [position_m2, 0.0, 0.0, position_m2, 0.0, heading_rad2],
-            at: [at.x_m, at.y_m],
+            position_m: [at.x_m, at.y_m],
         }
     }
 }

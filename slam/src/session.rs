@@ -255,7 +255,7 @@ impl Session {
         let mut session: Self = decode_whole(content)?;
         session.validate()?;
         // Nodes that were removed may still be counted.
-        session.back.unsolved = session.back.unsolved.min(session.back.nodes.len());
+        session.back.linked_since_solve = session.back.linked_since_solve.min(session.back.nodes.len());
         Ok(session)
     }
 }

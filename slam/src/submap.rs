@@ -37,7 +37,7 @@ pub struct Submaps {
     /// Mapper of the newest group.
     mapper: OccupancyMapper,
     /// Number of nodes without a submap because there are [`SUBMAPS_MAX`].
-    not_kept: u64,
+    nodes_without_submap: u64,
     /// Number of times that all submaps were begun again.
     generation: u32,
     /// Nodes the back end had removed when these groups were begun.
@@ -51,9 +51,9 @@ struct Group {
     nodes: u32,
     finished: bool,
     /// Poses of the nodes in the first one's frame, as published; empty before.
-    given: Vec<Pose2>,
-    given_finished: bool,
-    given_placed: bool,
+    published_poses: Vec<Pose2>,
+    published_finished: bool,
+    published_placed: bool,
 }
 
 impl Submaps {
@@ -66,7 +66,7 @@ impl Submaps {
             nodes: 0,
             path_m: 0.0,
             mapper: OccupancyMapper::new(config.map.clone()),
-            not_kept: 0,
+            nodes_without_submap: 0,
             generation: 0,
             removed_nodes: 0,
             out: bytemuck::allocation::zeroed_box(),
@@ -76,13 +76,13 @@ impl Submaps {
     /// Removes all submaps and begins a new generation: the nodes are no longer the same.
     pub fn restart(&mut self) {
         self.groups.clear();
-        (self.nodes, self.path_m, self.not_kept) = (0, 0.0, 0);
+        (self.nodes, self.path_m, self.nodes_without_submap) = (0, 0.0, 0);
         self.generation += 1;
     }
 
     /// Publishes all submaps again, for a subscriber that misses some.
     pub fn resend_all(&mut self) {
-        self.groups.iter_mut().for_each(|group| group.given.clear());
+        self.groups.iter_mut().for_each(|group| group.published_poses.clear());
     }
 
     /// Adds the nodes that the back end got since the last call. If it removed nodes (the others then have new numbers)
@@ -109,7 +109,7 @@ impl Submaps {
                     group.finished = true;
                 }
                 if self.groups.len() == SUBMAPS_MAX {
-                    self.not_kept += 1;
+                    self.nodes_without_submap += 1;
                     self.nodes += 1;
                     continue;
                 }
@@ -118,9 +118,9 @@ impl Submaps {
                     first,
                     nodes: 0,
                     finished: false,
-                    given: Vec::new(),
-                    given_finished: false,
-                    given_placed: false,
+                    published_poses: Vec::new(),
+                    published_finished: false,
+                    published_placed: false,
                 });
                 self.path_m = 0.0;
             }
@@ -139,8 +139,8 @@ impl Submaps {
     }
 
     /// Number of nodes that belong to no submap because there are [`SUBMAPS_MAX`].
-    pub fn not_kept(&self) -> u64 {
-        self.not_kept
+    pub fn nodes_without_submap(&self) -> u64 {
+        self.nodes_without_submap
     }
 
     /// Number of submaps.
@@ -167,16 +167,16 @@ impl Submaps {
         let newest = self.groups.len().checked_sub(1)?;
         let id = (0..=newest).find(|id| self.is_due(&self.groups[*id], back))?;
         let group = &mut self.groups[id];
-        let fresh = group.given.is_empty();
+        let fresh = group.published_poses.is_empty();
         let range = group.first as usize..(group.first + group.nodes) as usize;
-        group.given = relative(&poses[range.clone()]);
-        group.given_finished = group.finished;
-        group.given_placed = is_placed(group, back);
+        group.published_poses = relative(&poses[range.clone()]);
+        group.published_finished = group.finished;
+        group.published_placed = is_placed(group, back);
         // The mapper keeps the newest submap, which grows; older ones rarely change and are drawn from nothing.
         if fresh || id != newest {
             self.mapper = OccupancyMapper::new(self.map.clone());
         }
-        self.out.set_grid(self.mapper.finish(&back.nodes()[range], &group.given));
+        self.out.set_grid(self.mapper.finish(&back.nodes()[range], &group.published_poses));
         let out = &mut self.out;
         (out.id, out.first_node, out.nodes) = (id as u32, group.first, group.nodes);
         (out.finished, out.generation) = (u32::from(group.finished), self.generation);
@@ -188,20 +188,23 @@ impl Submaps {
 
     /// Whether a submap must be published again.
     fn is_due(&self, group: &Group, back: &BackEnd) -> bool {
-        let (given, poses) = (group.given.len(), back.graph().poses());
-        if is_placed(group, back) != group.given_placed {
+        let (published, poses) = (group.published_poses.len(), back.graph().poses());
+        if is_placed(group, back) != group.published_placed {
             return true;
         }
-        if !group.given_placed {
+        if !group.published_placed {
             // Nothing of an unplaced submap is published.
             return false;
         }
-        if given == 0 || group.nodes >= given as u32 + GROWN_NODES || group.finished != group.given_finished {
+        if published == 0
+            || group.nodes >= published as u32 + GROWN_NODES
+            || group.finished != group.published_finished
+        {
             return true;
         }
         let first = poses[group.first as usize];
         let now = poses[group.first as usize..].iter().map(|pose| first.between(*pose));
-        group.given.iter().zip(now).any(|(was, is)| {
+        group.published_poses.iter().zip(now).any(|(was, is)| {
             let turned = wrap_angle(was.yaw_rad - is.yaw_rad).abs();
             was.distance_m(is) > self.map.redraw_m || turned * TURN_ARM_M > self.map.redraw_m
         })

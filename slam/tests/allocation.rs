@@ -28,9 +28,9 @@ fn allocations(walls: &[Wall], lidar: impl Fn(usize) -> Lidar, odometry: bool) -
                 front.add_odometry(&robot.odometry());
             }
             answers.try_iter().for_each(|frame_update| front.add_frame_update(frame_update));
-            let step = front.process(&scan);
-            nodes += usize::from(steady && step.node.is_some());
-            if let Some(node) = step.node {
+            let result = front.process(&scan);
+            nodes += usize::from(steady && result.node.is_some());
+            if let Some(node) = result.node {
                 let _ = send.try_send(node);
             }
         });

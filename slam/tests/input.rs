@@ -66,10 +66,10 @@ fn the_number_of_beams_may_change() {
         robot.drive(0.15, 0.05, 0.1, &mut noise);
         slam.add_odometry(&robot.odometry());
         let lidar = if i % 2 == 0 { FULL } else { common::Lidar { beams: 97, ..NARROW } };
-        let step = slam.process(&cast(&walls, &lidar, robot.world_from_base, robot.stamp(), &mut noise));
-        assert_eq!(step.rejected, None);
+        let result = slam.process(&cast(&walls, &lidar, robot.world_from_base, robot.stamp(), &mut noise));
+        assert_eq!(result.rejected, None);
         let wanted = start.between(robot.world_from_base);
-        assert!(step.pose_estimate.map_from_base.distance_m(wanted) < 0.1);
+        assert!(result.pose_estimate.map_from_base.distance_m(wanted) < 0.1);
     }
 }
 
@@ -90,9 +90,9 @@ fn a_scan_that_sees_nothing_has_the_pose_by_odometry() {
         let mut scan = scan_at(10.3 + i as f64);
         scan.header.stamp = Stamp(robot.stamp().0 + i as i64);
         scan.ranges_m.fill(empty);
-        let step = slam.process(&scan);
-        assert_eq!(step.pose_estimate.state(), state, "{empty}");
-        assert!(step.pose_estimate.map_from_base.distance_m(robot.odom_from_base) < 0.02, "{empty}");
+        let result = slam.process(&scan);
+        assert_eq!(result.pose_estimate.state(), state, "{empty}");
+        assert!(result.pose_estimate.map_from_base.distance_m(robot.odom_from_base) < 0.02, "{empty}");
     }
     assert_eq!(slam.counts().lost, 3);
 }
@@ -167,9 +167,9 @@ fn one_beam_and_4096_are_scans() {
         let lidar = common::Lidar { beams, ..FULL };
         let stamp = Stamp::from_seconds(1.0 + i as f64);
         let scan = cast(&laboratory(), &lidar, Pose2::new(0.0, -0.5, 0.3), stamp, &mut Noise::new(1));
-        let step = slam.process(&scan);
-        assert_eq!(step.rejected, None);
-        let pose_estimate = step.pose_estimate;
+        let result = slam.process(&scan);
+        assert_eq!(result.rejected, None);
+        let pose_estimate = result.pose_estimate;
         assert!(
             pose_estimate.map_from_base.distance_m(Pose2::IDENTITY) < 0.05,
             "{beams} beams: {pose_estimate:?}"
@@ -217,8 +217,8 @@ proptest! {
             (scan.range_min_m, scan.range_max_m) = (0.1, 25.0);
             let odom_from_base = Pose2::new(x, -x, x);
             slam.add_odometry(&msg::Odometry { header: scan.header, odom_from_base, ..Default::default() });
-            let step = slam.process(&scan);
-            prop_assert!(step.pose_estimate.map_from_base.is_finite());
+            let result = slam.process(&scan);
+            prop_assert!(result.pose_estimate.map_from_base.is_finite());
             slam.work();
         }
         slam.finish();

@@ -46,9 +46,9 @@ fn drive(walls: &[Wall], lidar: &Lidar, start: Pose2, legs: &[(f64, f64, f64)], 
                 slam.add_odometry(&robot.odometry());
             }
             let scan = cast(walls, lidar, robot.world_from_base, robot.stamp(), &mut noise);
-            let step = slam.process(&scan);
-            assert_eq!(step.rejected, None);
-            states.push(step.pose_estimate.state());
+            let result = slam.process(&scan);
+            assert_eq!(result.rejected, None);
+            states.push(result.pose_estimate.state());
             truth.push(robot.world_from_base);
             if work {
                 slam.work();

@@ -79,10 +79,10 @@ fn a_map_begins_where_it_is_told_to() {
     let world_from_map = log[0].2 * told.inverse();
     for (odometry, scan, truth) in &log {
         front.add_odometry(odometry);
-        let step = front.process(scan);
-        let at = world_from_map * step.pose_estimate.map_from_base;
+        let result = front.process(scan);
+        let at = world_from_map * result.pose_estimate.map_from_base;
         assert!(at.distance_m(*truth) < 0.1, "{at:?} instead of {truth:?}");
-        step.node.into_iter().for_each(|node| front.add_frame_update(back.add_node(node)));
+        result.node.into_iter().for_each(|node| front.add_frame_update(back.add_node(node)));
     }
     assert!(back.is_located() && back.nodes().len() > 10);
     assert_eq!(back.graph().poses()[0], told);

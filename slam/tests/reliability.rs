@@ -72,7 +72,7 @@ fn a_corridor_without_odometry_is_in_the_map_only_where_its_place_is_known() {
     let bytes = back.session(identity, None, &[]).encode();
     let session = Session::decode(&bytes, &identity).unwrap();
     let (_, loaded) =
-        slam::begin(back.config().clone(), Some(session), SlamMode::Mapping, InitialPose::Unknown);
+        slam::create_or_resume(back.config().clone(), Some(session), SlamMode::Mapping, InitialPose::Unknown);
     assert_eq!(loaded.reliability_evidence(), evidence);
     assert_eq!(loaded.unplaced_component_count(), back.unplaced_component_count());
 }
@@ -90,7 +90,7 @@ fn with_odometry_a_corridor_is_a_map_to_rely_on() {
         assert!(!evidence.is_unreliable(), "{slip}: {evidence:?}");
         // And the covariance says so.
         let graph = slam.back().graph();
-        let sigma_m = graph.position_variance_m2(graph.poses().len() as u32 - 1).sqrt();
+        let sigma_m = graph.position_variance_trace_m2(graph.poses().len() as u32 - 1).sqrt();
         assert!(
             error_m < 3.0 * sigma_m && sigma_m < 1.0,
             "{slip}: {error_m} m, one standard deviation is {sigma_m} m"
@@ -117,7 +117,7 @@ fn wheels_that_slip_unseen_in_a_corridor_are_within_what_the_covariance_says() {
     slam.finish();
     let (error_m, _) = known_error_m(&slam, &said);
     let graph = slam.back().graph();
-    let sigma_m = graph.position_variance_m2(graph.poses().len() as u32 - 1).sqrt();
+    let sigma_m = graph.position_variance_trace_m2(graph.poses().len() as u32 - 1).sqrt();
     assert!(error_m > 1.0, "{error_m} m: the slips were seen");
     assert!(error_m < 3.0 * sigma_m, "{error_m} m, one standard deviation is {sigma_m} m");
 }

@@ -22,7 +22,7 @@ fn example() -> &'static (Vec<u8>, Vec<u8>) {
     EXAMPLE.get_or_init(|| {
         let identity = SessionIdentity::new(1, 7, &SlamConfig::default());
         let (mut front, mut back) =
-            slam::begin(SlamConfig::default(), None, Default::default(), InitialPose::Unknown);
+            slam::create_or_resume(SlamConfig::default(), None, Default::default(), InitialPose::Unknown);
         let mut newest = LogPosition::default();
         let estimate =
             LocalFrameEstimate { map_from_local: Default::default(), sigma_m: 0.1, sigma_rad: 0.1 };
@@ -72,7 +72,7 @@ fn a_version_has_one_format() {
 
     let stored = std::fs::read(&record).unwrap();
     let contents = LogContents::decode(&stored);
-    assert!(contents.torn.is_none(), "{:?}", contents.torn);
+    assert!(contents.incomplete_tail.is_none(), "{:?}", contents.incomplete_tail);
     let (decoded, _) = &contents.records[0];
     let mut builder = LogRecordBuilder::default();
     decoded.nodes.iter().for_each(|logged| builder.add(&logged.node, logged.begins_at));
@@ -93,7 +93,7 @@ fn another_version_is_refused_with_what_to_do() {
         assert!(said.contains("map again") && said.contains("mr-slam slam ROBOT map NAME"), "{said}");
         let mut other = record.clone();
         other[8..12].copy_from_slice(&version.to_le_bytes());
-        assert_eq!(LogContents::decode(&other).torn, Some((0, why)));
+        assert_eq!(LogContents::decode(&other).incomplete_tail, Some((0, why)));
     }
 }
 
@@ -170,7 +170,7 @@ fn every_value_is_checked() {
         let odometry = s.back.edges.iter_mut().find(|edge| edge.kind == slam::EdgeKind::Odometry).unwrap();
         odometry.degenerate_direction_rad = Some(0.0);
     });
-    refused("edge's variance", &|s| s.back.edges[0].variance[0] = f64::NAN);
+    refused("edge's variance", &|s| s.back.edges[0].variances.worst_axis_m2 = f64::NAN);
     refused("closure's response", &|s| s.back.edges[0].response = 1.5);
     refused("length of the path", &|s| s.back.travelled_m = -1.0);
     refused("nodes not found", &|s| s.back.not_found = vec![4]);
@@ -179,7 +179,7 @@ fn every_value_is_checked() {
     refused("counts", &|s| s.back.solutions = u64::MAX);
     refused("local map", &|s| s.front.as_mut().unwrap().reference_count = 5);
     refused("number of the next node", &|s| s.front.as_mut().unwrap().next_node = u32::MAX);
-    refused("newest node's covariance", &|s| s.front.as_mut().unwrap().node_covariance[0] = f64::NAN);
+    refused("newest node's covariance", &|s| s.front.as_mut().unwrap().reference_covariance[0] = f64::NAN);
     refused("order of odometry", &|s| {
         let odometry = &mut s.front.as_mut().unwrap().odometry;
         odometry.push(odometry[0]);

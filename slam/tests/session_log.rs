@@ -1,4 +1,4 @@
-//! Session logs: with the session they give the pose graph of the process that wrote them, and a torn end is cut off.
+//! Session logs: with the session they give the pose graph of the process that wrote them, and an incomplete tail is cut off.
 
 mod common;
 
@@ -40,7 +40,7 @@ fn identity() -> SessionIdentity {
 
 fn begun(session: Option<Session>) -> (FrontEnd, BackEnd) {
     let start = if session.is_some() { InitialPose::Continue } else { InitialPose::Unknown };
-    slam::begin(SlamConfig::default(), session, SlamMode::Mapping, start)
+    slam::create_or_resume(SlamConfig::default(), session, SlamMode::Mapping, start)
 }
 
 #[test]
@@ -59,7 +59,7 @@ fn a_session_and_its_log_give_the_bits_of_the_process_that_wrote_them() {
         }
         bytes.extend(feed_logged((&mut front, &mut back), logged, &mut newest, 2));
         let contents = LogContents::decode(&bytes);
-        assert!(contents.torn.is_none());
+        assert!(contents.incomplete_tail.is_none());
         let position = saved.as_ref().map(|session| session.log).unwrap_or_default();
         let records: Vec<_> = contents.records.into_iter().map(|(record, _)| record).collect();
         let chain = continuation(position, records);
@@ -95,7 +95,7 @@ fn a_torn_log_keeps_its_whole_records() {
         let contents = LogContents::decode(&bytes[..cut]);
         let expected = ends.iter().filter(|end| **end <= cut as u64).count();
         assert_eq!(contents.records.len(), expected, "cut at {cut}");
-        assert!(contents.torn.is_some());
+        assert!(contents.incomplete_tail.is_some());
     }
     // A record whose bytes changed ends the log, and one that is missing ends the chain.
     let mut changed = bytes.clone();

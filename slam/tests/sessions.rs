@@ -79,7 +79,8 @@ fn going_on_gives_the_bits_of_never_having_stopped() {
         let bytes = first.session(identity()).encode();
         let session = Session::decode(&bytes, &identity()).unwrap();
         assert!(drawn.cells.contains(&msg::grid::SWEPT_FREE));
-        let mut second = Slam::begin(config.clone(), Some(session), SlamMode::Mapping, InitialPose::Continue);
+        let mut second =
+            Slam::create_or_resume(config.clone(), Some(session), SlamMode::Mapping, InitialPose::Continue);
         assert!(drawn == second.map().to_owned(), "another map after loading");
         feed(&mut second, &after);
         second.finish();
@@ -154,7 +155,8 @@ fn a_robot_put_down_anywhere_is_found_and_the_map_gone_on_with() {
     let (session, world_from_map) = mapped(&FULL);
     let nodes = session.back.nodes.len();
     let log = elsewhere(&FULL, 3);
-    let mut slam = Slam::begin(SlamConfig::default(), Some(session), SlamMode::Mapping, InitialPose::Unknown);
+    let mut slam =
+        Slam::create_or_resume(SlamConfig::default(), Some(session), SlamMode::Mapping, InitialPose::Unknown);
     let said = feed(&mut slam, &log);
     slam.finish();
     let (mean, most, located) = errors(&said, &log, world_from_map);
@@ -178,8 +180,12 @@ fn a_robot_that_is_told_where_it_is_is_there_at_once() {
     let guess = Pose2::new(truth.x_m + 0.25, truth.y_m - 0.2, truth.yaw_rad + 0.15);
     let hint = LocalFrameEstimate { map_from_local: guess, sigma_m: 0.3, sigma_rad: 0.2 };
     for mode in [SlamMode::Mapping, SlamMode::Localization] {
-        let mut slam =
-            Slam::begin(SlamConfig::default(), Some(session.clone()), mode, InitialPose::Near(hint));
+        let mut slam = Slam::create_or_resume(
+            SlamConfig::default(),
+            Some(session.clone()),
+            mode,
+            InitialPose::Near(hint),
+        );
         let said = feed(&mut slam, &log);
         assert!(said.iter().all(|(_, state)| *state != TrackingState::Lost), "{mode:?}");
         let (mean, most, _) = errors(&said[60..], &log[60..].to_vec(), world_from_map);
@@ -197,8 +203,12 @@ fn a_given_pose_has_the_uncertainty_it_was_given_with_until_scans_confirm_it() {
     for (told, is_right) in [(truth, true), (wrong, false)] {
         let hint = LocalFrameEstimate { map_from_local: told, sigma_m: 0.3, sigma_rad: 0.2 };
         let start = InitialPose::Near(hint);
-        let mut slam =
-            Slam::begin(SlamConfig::default(), Some(session.clone()), SlamMode::Localization, start);
+        let mut slam = Slam::create_or_resume(
+            SlamConfig::default(),
+            Some(session.clone()),
+            SlamMode::Localization,
+            start,
+        );
         let said: Vec<_> = log[..40]
             .iter()
             .map(|(odometry, scan, _)| {
@@ -222,7 +232,7 @@ fn a_given_pose_has_the_uncertainty_it_was_given_with_until_scans_confirm_it() {
 #[test]
 fn localization_changes_nothing_and_needs_no_more_memory() {
     let (session, world_from_map) = mapped(&FULL);
-    let mut slam = Slam::begin(
+    let mut slam = Slam::create_or_resume(
         SlamConfig::default(),
         Some(session.clone()),
         SlamMode::Localization,
@@ -256,7 +266,7 @@ fn a_robot_in_another_building_is_not_found() {
     for seed in 3..6 {
         let mut robot = Robot::new(Pose2::new(-7.8, -5.8, 0.0));
         let log = log(&ring(seed), &lidar, &mut robot, &[(0.15, 0.0, 60.0)], seed);
-        let mut slam = Slam::begin(
+        let mut slam = Slam::create_or_resume(
             SlamConfig::default(),
             Some(session.clone()),
             SlamMode::Localization,
@@ -274,11 +284,14 @@ fn a_grid_is_enough_to_be_found_in() {
     let (session, world_from_map) = mapped(&FULL);
     let config = SlamConfig::default();
     let grid =
-        Slam::begin(config.clone(), Some(session), SlamMode::Mapping, InitialPose::Continue).map().to_owned();
+        Slam::create_or_resume(config.clone(), Some(session), SlamMode::Mapping, InitialPose::Continue)
+            .map()
+            .to_owned();
     let session = Session::from_grid(identity(), grid.view(), &config);
     assert!(session.back.nodes.len() > 10, "{} places", session.back.nodes.len());
     let log = elsewhere(&FULL, 5);
-    let mut slam = Slam::begin(config, Some(session), SlamMode::Localization, InitialPose::Unknown);
+    let mut slam =
+        Slam::create_or_resume(config, Some(session), SlamMode::Localization, InitialPose::Unknown);
     let said = feed(&mut slam, &log);
     let (mean, most, located) = errors(&said, &log, world_from_map);
     assert!(located * 2 > log.len(), "located in {located} of {}: {:?}", log.len(), slam.back_counts());
@@ -322,7 +335,8 @@ fn occupied(slam: &mut Slam, world_from_map: Pose2) -> usize {
 #[test]
 fn a_map_that_lasts_forgets_a_box_that_left_and_stays_small() {
     let world_from_map = log(&laboratory(), &FULL, &mut Robot::new(start()), &[(0.15, 0.0, 0.1)], 7)[0].2;
-    let mut slam = Slam::begin(SlamConfig::default(), None, SlamMode::Lifelong, InitialPose::Unknown);
+    let mut slam =
+        Slam::create_or_resume(SlamConfig::default(), None, SlamMode::Lifelong, InitialPose::Unknown);
     let with = rounds(&mut slam, &|_| laboratory_with_a_box(true), 1);
     let seen = occupied(&mut slam, world_from_map);
     assert!(seen > 15, "the box is {seen} cells");

@@ -256,7 +256,7 @@ fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), R
         if args.mode == Mode::Localization {
             return Err(ReplayError::NothingToLocalizeIn);
         }
-        return Ok(slam::begin(config, None, args.mode.into(), InitialPose::Unknown));
+        return Ok(slam::create_or_resume(config, None, args.mode.into(), InitialPose::Unknown));
     };
     if session_file::is_map(path) && args.mode != Mode::Localization {
         return Err(ReplayError::MapOnly(path.clone()));
@@ -268,7 +268,7 @@ fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), R
         None if args.go_on => InitialPose::Continue,
         None => InitialPose::Unknown,
     };
-    Ok(slam::begin(config, Some(session), args.mode.into(), start))
+    Ok(slam::create_or_resume(config, Some(session), args.mode.into(), start))
 }
 
 /// Adds nodes to the back end until no more come. Returns the duration of each, and of the final work.

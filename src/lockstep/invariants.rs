@@ -170,8 +170,12 @@ impl Lockstep {
         let session = session.ok().and_then(|bytes| slam::Session::decode(&bytes, &identity).ok());
         session.map_or(0, |session| {
             let mode = session.mode;
-            let (_, mut back) =
-                slam::begin(run.config.slam.clone(), Some(session), mode, slam::InitialPose::Continue);
+            let (_, mut back) = slam::create_or_resume(
+                run.config.slam.clone(),
+                Some(session),
+                mode,
+                slam::InitialPose::Continue,
+            );
             known_count(back.map().cells)
         })
     }

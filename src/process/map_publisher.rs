@@ -33,7 +33,7 @@ impl<P: Ports> MapPublisher<P> {
     }
 
     /// Marks the map as changed, so that it is drawn and sent.
-    pub fn redraw(&mut self) {
+    pub fn mark_changed(&mut self) {
         (self.drawing, self.unsent) = (true, true);
     }
 

@@ -67,7 +67,7 @@ pub enum FrontEvent {
 /// Where a new trajectory of the front end starts in the map.
 #[derive(Clone, Copy, Debug)]
 pub enum TrajectoryStart {
-    /// The front end continues where `odom` lay.
+    /// The frame `odom` is where it was before the restart; the pose follows from odometry.
     At {
         /// Pose of the front end's frame in the map.
         map_from_local: Pose2,
@@ -117,22 +117,23 @@ pub struct SlamProcess<P: Ports, S> {
 
 impl<P: Ports, S: Storage> SlamProcess<P, S> {
     /// Begins with what an earlier process of this run saved, with the session that the fleet begins with, or with
-    /// nothing. `at` is where `odom` lay in the map when it was seen last. The scan path and the back end have ports
+    /// nothing. `map_from_odom` is the pose of `odom` in the map before a restart. The scan path and the back end have ports
     /// of their own, as they run on different threads.
     pub fn open(
         [scan_ports, map_ports]: [&P; 2],
         run: &Run,
         robot: RobotId,
-        at: Option<Pose2>,
+        map_from_odom: Option<Pose2>,
         storage: S,
     ) -> Result<Self, Error> {
-        let Start { front, back, odom_pose } = begin(run, robot, at, &storage, &scan_ports.clock())?;
+        let InitialSlam { front, back, restart_map_from_odom } =
+            restore_or_create(run, robot, map_from_odom, &storage, &scan_ports.clock())?;
         let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
         let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
         let (job_sender, jobs) = sync_channel::<SlamFileJob>(files::JOBS_MAX);
         let outcomes = events.clone();
         let front_end_loop =
-            FrontEndLoop::open(scan_ports, run, robot, (front, odom_pose), events, commands_in)?;
+            FrontEndLoop::open(scan_ports, run, robot, (front, restart_map_from_odom), events, commands_in)?;
         let back_end = BackEndWorker::open(map_ports, run, robot, back, commands, job_sender)?;
         let files = SlamFileWorker::new(live_config(run), storage, scan_ports.clock(), outcomes);
         Ok(Self { front_end_loop, back_end, files, inputs, jobs })
@@ -140,16 +141,16 @@ impl<P: Ports, S: Storage> SlamProcess<P, S> {
 }
 
 /// Runs the process until it is asked to stop.
-pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
+pub fn run(run: &Run, robot: RobotId, map_from_odom: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
     let scan_ports = run.attach(Role::Slam, Some(robot))?;
-    let begun = begin(run, robot, at, &DiskStorage, &scan_ports.clock())?;
+    let begun = restore_or_create(run, robot, map_from_odom, &DiskStorage, &scan_ports.clock())?;
     let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
     let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
     let (job_sender, jobs) = sync_channel::<SlamFileJob>(files::JOBS_MAX);
     let mut files = SlamFileWorker::new(live_config(run), DiskStorage, scan_ports.clock(), events.clone());
-    let Start { front, back, odom_pose } = begun;
+    let InitialSlam { front, back, restart_map_from_odom } = begun;
     let mut front_end_loop =
-        FrontEndLoop::open(&scan_ports, run, robot, (front, odom_pose), events, commands_in)?;
+        FrontEndLoop::open(&scan_ports, run, robot, (front, restart_map_from_odom), events, commands_in)?;
     std::thread::scope(|scope| {
         scope.spawn(move || {
             time_slice::request_default();
@@ -195,22 +196,22 @@ fn serve_back_end(
 }
 
 /// Front end and back end with which SLAM starts.
-struct Start {
+struct InitialSlam {
     front: FrontEnd,
     /// The back end, and the end of the log with its nodes.
     back: (BackEnd, LogEnd),
-    /// Newest known transform of `odom` in the map, if a new front end begins.
-    odom_pose: Option<Pose2>,
+    /// Pose of `odom` in the map before the restart, if a new front end begins.
+    restart_map_from_odom: Option<Pose2>,
 }
 
 /// Loads what an earlier process of this run saved and logged, else the fleet's initial session, else an empty map.
-fn begin(
+fn restore_or_create(
     run: &Run,
     robot: RobotId,
-    at: Option<Pose2>,
+    map_from_odom: Option<Pose2>,
     storage: &impl Storage,
     clock: &impl Clock,
-) -> Result<Start, Error> {
+) -> Result<InitialSlam, Error> {
     let config = live_config(run);
     let identity = sessions::identity(run, robot);
     let saved = read_own_session(run, robot, storage);
@@ -229,30 +230,31 @@ fn begin(
         }
     };
     if !has_session && records.is_empty() {
-        let (front, mut back) = ::slam::begin(config, session, mode, InitialPose::Unknown);
+        let (front, mut back) = ::slam::create_or_resume(config, session, mode, InitialPose::Unknown);
         // No scan of this run is in it yet.
         back.set_map_header(Header::default(), clock.now());
         // Whether the robot had been found in a session's map is not known.
-        let odom_pose = at.filter(|_| back.nodes().is_empty());
-        return Ok(Start { front, back: (back, log_end), odom_pose });
+        let restart_map_from_odom = map_from_odom.filter(|_| back.nodes().is_empty());
+        return Ok(InitialSlam { front, back: (back, log_end), restart_map_from_odom });
     }
     let kept = match (session, records.is_empty()) {
         (Some(session), true) => session,
         (session, _) => {
             let start = if has_session { InitialPose::Continue } else { InitialPose::Unknown };
-            let (_, mut back) = ::slam::begin(config.clone(), session, mode, start);
+            let (_, mut back) = ::slam::create_or_resume(config.clone(), session, mode, start);
             let front = back.replay(records);
             back.session(identity, front, &[])
         }
     };
     // A robot that was localized is looked for where it was; one that was looked for, everywhere.
-    let odom_pose = at.filter(|_| kept.front.is_none() && mode == SlamMode::Localization);
-    let (mut front, back) = ::slam::begin(config, Some(kept), mode, InitialPose::Continue);
-    if odom_pose.is_some() {
+    let restart_map_from_odom =
+        map_from_odom.filter(|_| kept.front.is_none() && mode == SlamMode::Localization);
+    let (mut front, back) = ::slam::create_or_resume(config, Some(kept), mode, InitialPose::Continue);
+    if restart_map_from_odom.is_some() {
         // The first scan says where the front end's frame lies in `odom`; then the pose is set.
         front.set_map_from_local(Some(Pose2::IDENTITY));
     }
-    Ok(Start { front, back: (back, log_end), odom_pose })
+    Ok(InitialSlam { front, back: (back, log_end), restart_map_from_odom })
 }
 
 /// Reads what an earlier process of this run saved.

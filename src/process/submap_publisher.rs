@@ -64,7 +64,7 @@ impl<P: Ports> SubmapPublisher<P> {
     /// Says once when a limit is reached: what comes later is missing.
     fn warn_about_limits(&mut self, back: &BackEnd) {
         let (robot, nodes) = (self.robot, back.nodes().len());
-        let reached = [nodes >= self.nodes_max && back.grows_map(), self.submaps.not_kept() > 0];
+        let reached = [nodes >= self.nodes_max && back.grows_map(), self.submaps.nodes_without_submap() > 0];
         if reached[0] && !self.is_warned[0] {
             tracing::warn!(
                 "{robot}: its map has {nodes} nodes (slam.graph.nodes_max) and grows no more; localize in it, or begin another"

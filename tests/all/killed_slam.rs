@@ -42,7 +42,7 @@ fn stamps(session: &Session) -> BTreeSet<Stamp> {
 /// Cells that the session's map knows, in whole cells from the origin of the map's frame.
 fn known_cells(config: &FleetConfig, session: Session) -> BTreeSet<(i64, i64)> {
     let (_, mut back) =
-        slam::begin(config.slam.clone(), Some(session), SlamMode::Mapping, InitialPose::Continue);
+        slam::create_or_resume(config.slam.clone(), Some(session), SlamMode::Mapping, InitialPose::Continue);
     let map = back.map();
     let cell = |metres: f64| (metres / map.header.resolution_m).round() as i64;
     let (x0, y0) = (cell(map.header.origin.x_m), cell(map.header.origin.y_m));

@@ -218,7 +218,7 @@ impl Outcome {
         let truth_at = |stamp: Stamp| truth_at(steps, stamp);
         let sigma_m = |number: u32| {
             let id = back.node_from_front_end(number).unwrap_or_default();
-            back.graph().position_variance_m2(id).sqrt()
+            back.graph().position_variance_trace_m2(id).sqrt()
         };
         let poses: Vec<ScoredPose> = back
             .trajectory_with_places(front.samples())

@@ -1,6 +1,6 @@
 //! Appends a node to the graph: where the front end has it, with odometry's edge to the node before.
 
-use super::{BREAK_M, BREAK_RAD, BackEnd};
+use super::{BREAK_SIGMAS, BackEnd};
 use crate::front_end::{SPEED_SIGMA_SHARE, UNMEASURED_MAX_S};
 use crate::graph::EdgeKind;
 use crate::node::Node;
@@ -19,7 +19,7 @@ impl BackEnd {
     /// Appends a node at its pose relative to the node before, with an odometry edge, or at the pose where the robot was
     /// located.
     pub(super) fn append_node(&mut self, mut node: Node) {
-        self.numbers.front_ids.push(node.id);
+        self.node_ids.front_ids.push(node.id);
         self.lifelong.contradicted.push(0);
         node.id = self.nodes.len() as u32;
         if let Some(estimate) = self.location.next_node_estimate.take() {
@@ -47,7 +47,7 @@ impl BackEnd {
         let measured = node.previous_from_this.unwrap_or(moved);
         let (kind, information) = if node.odometry_break {
             self.forget_searches();
-            (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD))
+            (EdgeKind::OdometryBreak, BREAK_SIGMAS.information())
         } else {
             (EdgeKind::Odometry, self.odometry_information(&node, measured))
         };

@@ -44,7 +44,7 @@ impl BackEnd {
         })
     }
 
-    /// Takes a closure back, with all links that it made possible and that do not stand without it.
+    /// Undoes a closure, with all links that it made possible and that do not stand without it.
     /// False if there is no active closure of that number.
     pub fn undo_closure(&mut self, number: u32) -> bool {
         let is_closure = |(_, e): &(usize, &Edge)| e.kind == EdgeKind::Closure;
@@ -58,18 +58,18 @@ impl BackEnd {
         };
         let edges = self.graph.edges();
         let fallen: Vec<usize> = (0..edges.len()).filter(|&i| i == index || same(&edges[i])).collect();
-        self.retract(&fallen);
+        self.undo(&fallen);
         true
     }
 
-    /// Takes all closures back. Returns how many.
+    /// Undoes all closures. Returns how many.
     pub fn clear_closures(&mut self) -> usize {
         let edges = self.graph.edges();
         let closures: Vec<usize> =
             (0..edges.len()).filter(|&i| edges[i].is_active && edges[i].kind == EdgeKind::Closure).collect();
         let count = closures.len();
         if count > 0 {
-            self.retract(&closures);
+            self.undo(&closures);
         }
         count
     }
@@ -80,9 +80,9 @@ impl BackEnd {
         implied.distance_m(b.a_from_b) < REJECTED_M && turned < REJECTED_RAD
     }
 
-    /// Takes closures back, and the links between passes made since; then links again what is known
+    /// Deactivates closures and the links between passes made since; then links again what is known
     /// well enough without them, and solves.
-    fn retract(&mut self, closures: &[usize]) {
+    fn undo(&mut self, closures: &[usize]) {
         let first = closures.iter().copied().min().unwrap_or(0);
         for &index in closures {
             let edge = self.graph.edge_mut(index);

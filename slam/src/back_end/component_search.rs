@@ -243,7 +243,7 @@ impl BackEnd {
             REACH_M + speed_max_m_s * (node.header.stamp - nodes[node.id as usize - 1].header.stamp)
         });
         let unmeasured_s: f64 = since.iter().map(|node| f64::from(node.unmeasured_s)).sum();
-        let sigma_m = self.graph.position_variance_m2(last.id).sqrt();
+        let sigma_m = self.graph.position_variance_trace_m2(last.id).sqrt();
         let reach_m = carried_m.sum::<f64>()
             + REACH_SIGMAS * sigma_m
             + path_m(before)

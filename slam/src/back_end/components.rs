@@ -3,18 +3,17 @@
 //!
 //! At a node that contradicts those before it, odometry's edge becomes an odometry break: it keeps the order of
 //! the nodes and measures nothing. The component after it is neither drawn nor given out, and the robot
-//! reads as lost, until a closure or a search of the whole map connects it. If that closure is taken
-//! back, the component is unplaced again.
+//! reads as lost, until a closure or a search of the whole map connects it. If that closure is
+//! undone or retracted, the component is unplaced again.
 //!
 //! The map is the largest component, so a robot that never returns ends up with a new map.
 
-use super::links::is_sure;
-use super::{BREAK_M, BREAK_RAD, BREAK_VARIANCE, BackEnd};
+use super::links::is_well_constrained;
+use super::{BREAK_SIGMAS, BREAK_VARIANCES, BackEnd};
 use crate::closure::ClosureCandidate;
 use crate::cloud::Agreement;
 use crate::graph::{EdgeKind, RelativeUncertainty};
 use crate::node::Node;
-use posegraph::information_from_sigmas;
 
 /// Nodes of the map that a node with an unverified edge is compared with.
 const COMPARED_NODES: usize = 8;
@@ -41,7 +40,8 @@ impl BackEnd {
         }
         // Where the path since the edge, or before it, may have drifted, a contradiction says nothing about the edge.
         let l = &self.config.links;
-        let sure = |known: &Option<RelativeUncertainty>| known.is_some_and(|known| is_sure(known, l));
+        let sure =
+            |known: &Option<RelativeUncertainty>| known.is_some_and(|known| is_well_constrained(known, l));
         if !sure(&relative[unverified_node as usize]) {
             return;
         }
@@ -85,9 +85,8 @@ impl BackEnd {
         let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == id;
         let Some(index) = self.graph.edges().iter().position(before) else { return false };
         let edge = self.graph.edge_mut(index);
-        (edge.kind, edge.information) =
-            (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD));
-        edge.variance = BREAK_VARIANCE;
+        (edge.kind, edge.information) = (EdgeKind::OdometryBreak, BREAK_SIGMAS.information());
+        edge.variances = BREAK_VARIANCES;
         self.nodes[id as usize].odometry_break = true;
         self.forget_searches();
         true

@@ -12,7 +12,7 @@
 //! onto a tree keeps the graph sparse).
 
 use super::BackEnd;
-use crate::graph::{Edge, EdgeKind};
+use crate::graph::{Edge, EdgeKind, PoseVariances};
 use msg::{Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
 
@@ -147,16 +147,16 @@ impl BackEnd {
         for (id, node) in self.nodes.iter_mut().enumerate() {
             node.id = id as u32;
         }
-        self.numbers.earlier_nodes = (0..self.numbers.earlier_nodes).filter(|id| keep(*id)).count();
+        self.node_ids.earlier_nodes = (0..self.node_ids.earlier_nodes).filter(|id| keep(*id)).count();
         let mut id = 0;
-        self.numbers.front_ids.retain(|_| (keep(id), id += 1).0);
+        self.node_ids.front_ids.retain(|_| (keep(id), id += 1).0);
         let mut id = 0;
         self.lifelong.contradicted.retain(|_| (keep(id), id += 1).0);
         self.reliability.retain_nodes(keep);
         self.loop_closures.renumber(&number);
         self.lifelong.removed_nodes += gone.len() as u64;
         self.update_after_edge_change();
-        self.numbers.earlier.clear();
+        self.node_ids.earlier.clear();
         // The map is another one now: drawn anew, all at once, so that nobody sees half of it.
         self.mapper.restore(&self.nodes, self.graph.poses());
     }
@@ -168,22 +168,22 @@ fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
         (0..edges.len()).filter(|&i| edges[i].is_active && (edges[i].a == id || edges[i].b == id)).collect();
     let other = |e: &Edge| if e.a == id { e.b } else { e.a };
     // Several edges to one neighbour count as one.
-    let mut neighbours: Vec<(u32, Matrix3<f64>, [f64; 2], EdgeKind)> = Vec::new();
+    let mut neighbours: Vec<(u32, Matrix3<f64>, PoseVariances, EdgeKind)> = Vec::new();
     for e in mine.iter().map(|&i| &edges[i]) {
         match neighbours.iter_mut().find(|n| n.0 == other(e)) {
             Some(n) => {
                 n.1 += e.information;
                 n.3 = if n.3 == EdgeKind::OdometryBreak { e.kind } else { n.3 };
             }
-            None => neighbours.push((other(e), e.information, e.variance, e.kind)),
+            None => neighbours.push((other(e), e.information, e.variances, e.kind)),
         }
     }
     neighbours.sort_by(|a, b| b.1.trace().total_cmp(&a.1.trace()).then(a.0.cmp(&b.0)));
     for &i in &mine {
         edges[i].is_active = false;
     }
-    let Some(&(inheritor, known, heir_variance, _)) = neighbours.first() else { return };
-    for &(to, information, variance, kind) in neighbours.iter().skip(1).take(INHERITED_MAX) {
+    let Some(&(inheritor, known, heir_variances, _)) = neighbours.first() else { return };
+    for &(to, information, variances, kind) in neighbours.iter().skip(1).take(INHERITED_MAX) {
         let linked =
             |e: &Edge| e.is_active && ((e.a == inheritor && e.b == to) || (e.a == to && e.b == inheritor));
         // The order along the way is held by odometry's edges: they are always handed on.
@@ -202,7 +202,10 @@ fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
             degenerate_direction_rad: None,
             kind: if along { kind } else { EdgeKind::ScanMatch },
             is_active: true,
-            variance: [variance[0] + heir_variance[0], variance[1] + heir_variance[1]],
+            variances: PoseVariances {
+                worst_axis_m2: variances.worst_axis_m2 + heir_variances.worst_axis_m2,
+                heading_rad2: variances.heading_rad2 + heir_variances.heading_rad2,
+            },
             response: 0.0,
         });
     }

@@ -14,21 +14,22 @@ use posegraph::limit_information;
 const VIEWPOINT: f64 = 0.5;
 /// Variances (m², rad²) of a node's pose as seen from the few before it: 10 cm and 55 mrad, what wheels lose over them.
 const SEQUENTIAL: RelativeUncertainty = RelativeUncertainty {
-    position_variance_m2: 0.01,
+    worst_axis_variance_m2: 0.01,
     heading_variance_rad2: 0.003,
     bias: SystematicError { moved_m: [0.0; 2], turned_rad: 0.0 },
 };
-/// An alignment may move the pose by this many standard deviations of what is known,
+/// An alignment may move the pose by this many standard deviations of what is known. One that moves it farther has found another surface.
 const CORRECTION_SIGMAS: f64 = 3.0;
-/// and by what the alignment itself may err, metres and radians; one that moves it farther has found another surface.
+/// The position may move by this on top, the error of the alignment itself, metres.
 const CORRECTION_M: f64 = 0.05;
+/// The heading may turn by this on top, for the same reason, radians.
 const CORRECTION_RAD: f64 = 0.02;
-/// Near links are spread: not two to nodes this close in order.
-const NEAR_SPREAD: u32 = 3;
+/// Two near links of a node lead to nodes at least this far apart in order.
+const NEAR_NODE_GAP_MIN: u32 = 3;
 
-/// Whether two scans are so well known to each other that they may be held against each other.
-pub(super) fn is_sure(known: RelativeUncertainty, l: &LinkConfig) -> bool {
-    known.position_variance_m2 < l.sigma_max_m.powi(2)
+/// Whether the relative pose of two scans is known so well that the scans may be compared.
+pub(super) fn is_well_constrained(known: RelativeUncertainty, l: &LinkConfig) -> bool {
+    known.worst_axis_variance_m2 < l.sigma_max_m.powi(2)
         && known.heading_variance_rad2 < l.sigma_max_rad.powi(2)
 }
 
@@ -57,14 +58,14 @@ impl BackEnd {
                 let pose = self.graph.poses()[other as usize];
                 let [x, y] = pose.apply(self.nodes[other as usize].cloud.centroid_m());
                 let apart = (x - seen[0]).hypot(y - seen[1]);
-                (is_sure(known, l) && apart < l.distance_max_m)
+                (is_well_constrained(known, l) && apart < l.distance_max_m)
                     .then_some((apart + VIEWPOINT * here.distance_m(pose), other))
             })
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let mut chosen: Vec<u32> = Vec::with_capacity(l.near);
         for (_, other) in near {
-            if chosen.len() < l.near && chosen.iter().all(|c| c.abs_diff(other) >= NEAR_SPREAD) {
+            if chosen.len() < l.near && chosen.iter().all(|c| c.abs_diff(other) >= NEAR_NODE_GAP_MIN) {
                 chosen.push(other);
             }
         }
@@ -80,7 +81,7 @@ impl BackEnd {
         if !newer.is_tracked
             || older.disconnected_component != newer.disconnected_component
             || enough < self.config.tracking.points_min
-            || self.linked(a, b)
+            || self.has_link(a, b)
         {
             return false;
         }
@@ -92,7 +93,7 @@ impl BackEnd {
         }
         let moved = fit.frame_from_cloud.distance_m(guess);
         let turned = wrap_angle(fit.frame_from_cloud.yaw_rad - guess.yaw_rad).abs();
-        if moved > CORRECTION_SIGMAS * known.position_variance_m2.sqrt() + CORRECTION_M
+        if moved > CORRECTION_SIGMAS * known.worst_axis_variance_m2.sqrt() + CORRECTION_M
             || turned > CORRECTION_SIGMAS * known.heading_variance_rad2.sqrt() + CORRECTION_RAD
         {
             return false;
@@ -105,7 +106,7 @@ impl BackEnd {
         // Noise of normals claims to determine the motion along a corridor: without odometry nothing else would.
         let information =
             if is_measured { fit.information_for_links(l) } else { fit.information_without_noise };
-        let information = self.limited(information);
+        let information = self.limit_information(information);
         let drift = self.drift(fit.frame_from_cloud);
         self.graph.add_link([a, b], fit.frame_from_cloud, information, fit.degenerate_direction_rad, drift);
         true
@@ -116,12 +117,12 @@ impl BackEnd {
         [self.config.links.drift_m_per_m * distance_m, self.config.links.drift_rad_per_m * distance_m]
     }
 
-    fn linked(&self, a: u32, b: u32) -> bool {
+    fn has_link(&self, a: u32, b: u32) -> bool {
         self.graph.edges_of(b).any(|e| e.kind == EdgeKind::ScanMatch && e.a == a && e.b == b)
     }
 
     /// Information that claims no more than the least standard deviations allow, and nothing where nothing was seen.
-    pub(super) fn limited(&self, information: Matrix3<f64>) -> Matrix3<f64> {
+    pub(super) fn limit_information(&self, information: Matrix3<f64>) -> Matrix3<f64> {
         let l = &self.config.links;
         limit_information(information, [l.sigma_min_m, l.sigma_min_rad], UNOBSERVED)
     }

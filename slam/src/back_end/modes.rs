@@ -50,30 +50,31 @@ impl BackEnd {
         state: BackEndState,
         samples: Vec<TrajectorySample>,
         mode: SlamMode,
-        start: InitialPose,
+        initial_pose: InitialPose,
     ) -> Self {
         let mut back = Self::new(config.clone());
         back.graph = Graph::from_parts(config.graph.clone(), state.poses, state.edges);
         back.loop_closures.detector = ClosureDetector::resume(config, state.detector);
-        back.numbers.earlier = samples;
+        back.node_ids.earlier = samples;
         back.lifelong.contradicted = vec![0; state.nodes.len()];
         back.unverified_node = state.unverified_node;
-        back.numbers.earlier_nodes = if start == InitialPose::Continue { 0 } else { state.nodes.len() };
-        back.numbers.newest_front = state.front_ids.last().copied().unwrap_or(0);
-        (back.nodes, back.numbers.front_ids) = (state.nodes, state.front_ids);
+        back.node_ids.earlier_nodes =
+            if initial_pose == InitialPose::Continue { 0 } else { state.nodes.len() };
+        back.node_ids.newest_front = state.front_ids.last().copied().unwrap_or(0);
+        (back.nodes, back.node_ids.front_ids) = (state.nodes, state.front_ids);
         (0..back.nodes.len() as u32).for_each(|id| back.learn_odometry_noise(id));
         back.update_components();
         back.mapper.restore(&back.nodes, &state.drawn);
         (back.loop_closures.not_found, back.loop_closures.to_retry) =
             (state.not_found.into(), state.to_retry.into());
-        (back.loop_closures.travelled_m, back.unsolved, back.loop_closures.rejected_closures) =
-            (state.travelled_m, state.unsolved, state.rejected_closures);
+        (back.loop_closures.travelled_m, back.linked_since_solve, back.loop_closures.rejected_closures) =
+            (state.travelled_m, state.linked_since_solve, state.rejected_closures);
         (back.solutions, back.loop_closures.retracted, back.lifelong.removed_nodes) =
             (state.solutions, state.retracted, state.removed_nodes);
         back.reliability = state.reliability;
         back.update_after_edge_change();
         back.set_mode(mode);
-        match start {
+        match initial_pose {
             InitialPose::Continue => {}
             InitialPose::Near(estimate) => back.start_relocalization(Some(estimate)),
             InitialPose::Unknown => back.start_relocalization(None),
@@ -233,10 +234,10 @@ impl BackEnd {
         let soon = self.location.relocalizer.is_some()
             || self.location.localizer.is_some()
             || self.location.just_located;
-        let lag = if soon { 1 } else { self.config.graph.frame_update_lag_nodes };
+        let lag_nodes = if soon { 1 } else { self.config.graph.frame_update_lag_nodes };
         MapFrameUpdate {
-            cause: self.numbers.newest_front,
-            effective_from: self.numbers.newest_front.saturating_add(lag),
+            cause_node: self.node_ids.newest_front,
+            effective_from_node: self.node_ids.newest_front.saturating_add(lag_nodes),
             map_from_local: map_from_local.unwrap_or_default(),
             uncertainty: self.frame_uncertainty(),
             closures: self.loop_closures.active_count,
@@ -254,9 +255,9 @@ impl BackEnd {
         }
         let newest = self.nodes.last().filter(|_| self.grows_map());
         newest.map_or(FrameUncertainty::default(), |node| {
-            let at = self.graph.poses()[node.id as usize];
+            let pose = self.graph.poses()[node.id as usize];
             let covariance = upper_triangle(self.graph.covariance(node.id));
-            FrameUncertainty { covariance, at: [at.x_m, at.y_m] }
+            FrameUncertainty { covariance, position_m: [pose.x_m, pose.y_m] }
         })
     }
 
@@ -267,7 +268,7 @@ impl BackEnd {
 
     /// The back end's id of a node of the present front end; `None` if the map does not have it.
     pub fn node_from_front_end(&self, front_id: u32) -> Option<u32> {
-        self.numbers.id_of(front_id)
+        self.node_ids.id_of(front_id)
     }
 
     /// Every scan's stamp and `map_from_base`, those of earlier front ends first: scans between nodes
@@ -285,7 +286,7 @@ impl BackEnd {
         samples: &'a [TrajectorySample],
     ) -> impl Iterator<Item = (Stamp, Pose2, PlaceInMap)> + 'a {
         let poses = self.graph.poses();
-        self.numbers.samples(samples).map(|sample| {
+        self.node_ids.samples(samples).map(|sample| {
             let node = sample.node as usize;
             (sample.stamp, poses[node] * sample.node_from_base, self.place_of(&sample))
         })
@@ -303,7 +304,7 @@ impl BackEnd {
 
     /// Whether a front end in this state can continue with this map: it made the map's newest node, and the map grows.
     pub(crate) fn is_continued_by(&self, front: &FrontEndState) -> bool {
-        self.grows_map() && front.next_node.checked_sub(1) == self.numbers.front_ids.last().copied()
+        self.grows_map() && front.next_node.checked_sub(1) == self.node_ids.front_ids.last().copied()
     }
 
     /// Every scan's pose relative to its node, those of earlier front ends first.
@@ -311,7 +312,7 @@ impl BackEnd {
         &'a self,
         samples: &'a [TrajectorySample],
     ) -> impl Iterator<Item = TrajectorySample> + 'a {
-        self.numbers.samples(samples)
+        self.node_ids.samples(samples)
     }
 
     /// Counts of relocalization searches by how they ended.

@@ -2,9 +2,9 @@
 
 use crate::front_end::TrajectorySample;
 
-/// Numbers of the nodes on both sides.
+/// Ids of the nodes in the front end and in the back end.
 #[derive(Default)]
-pub(super) struct NodeNumbers {
+pub(super) struct NodeIdMap {
     /// The front end's number of each node.
     pub front_ids: Vec<u32>,
     /// Nodes that earlier front ends numbered: the present one's numbers begin after them.
@@ -15,7 +15,7 @@ pub(super) struct NodeNumbers {
     pub earlier: Vec<TrajectorySample>,
 }
 
-impl NodeNumbers {
+impl NodeIdMap {
     /// The back end's number of a node of the present front end; `None` if the map does not have it.
     pub fn id_of(&self, front_id: u32) -> Option<u32> {
         let ids = &self.front_ids[self.earlier_nodes..];

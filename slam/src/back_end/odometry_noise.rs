@@ -230,6 +230,7 @@ impl BackEnd {
 mod tests {
     use super::*;
     use crate::back_end::testing::straight_path;
+    use crate::graph::PoseVariances;
     use posegraph::information_from_sigmas;
 
     const SIGMAS: [f64; 2] = [0.05, 0.04];
@@ -247,7 +248,7 @@ mod tests {
                 degenerate_direction_rad: None,
                 kind: EdgeKind::ScanMatch,
                 is_active: true,
-                variance: [0.0; 2],
+                variances: PoseVariances::default(),
                 response: 0.0,
             };
             let motion = OdometryMotion {

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// Older nodes that a node is compared with.
 const COMPARED_NODES: usize = 4;
 /// Two compared nodes are at least this far apart in order.
-const COMPARED_SPREAD: u32 = 3;
+const COMPARED_NODE_GAP_MIN: u32 = 3;
 /// Nodes nearer to each other in order than this are of one pass and say the same.
 const SAME_PASS_NODES: u32 = 12;
 /// Scans from afar see other sides of things: a metre between viewpoints counts so much as a metre between what is looked at.
@@ -83,8 +83,8 @@ impl BackEnd {
         }
     }
 
-    /// Compares all nodes anew.
-    pub(super) fn renew_reliability(&mut self) {
+    /// Compares all nodes anew, and sums up the evidence.
+    pub(super) fn recompute_reliability(&mut self) {
         self.reliability.node_comparisons =
             (0..self.nodes.len() as u32).map(|id| self.compare_with_older(id)).collect();
         self.summarize_evidence();
@@ -122,7 +122,7 @@ impl BackEnd {
     /// Standard deviation of the map's position that is known worst, as seen from one node of the map, metres.
     fn largest_position_sigma_m(&self) -> f64 {
         let in_map = self.nodes.iter().filter(|node| node.is_placed());
-        in_map.map(|node| self.graph.position_variance_m2(node.id)).fold(0.0, f64::max).sqrt()
+        in_map.map(|node| self.graph.position_variance_trace_m2(node.id)).fold(0.0, f64::max).sqrt()
     }
 
     /// Compares a node with older ones of other passes that look at the same place.
@@ -151,7 +151,7 @@ impl BackEnd {
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let mut compared: Vec<u32> = Vec::with_capacity(COMPARED_NODES);
         for (_, other) in near {
-            if compared.iter().all(|earlier| earlier.abs_diff(other) >= COMPARED_SPREAD) {
+            if compared.iter().all(|earlier| earlier.abs_diff(other) >= COMPARED_NODE_GAP_MIN) {
                 compared.push(other);
             }
             if compared.len() == COMPARED_NODES {

@@ -231,14 +231,14 @@ mod tests {
     fn a_map_that_contradicts_closures_which_agree_by_metres_is_unreliable() {
         let mut back = long_path();
         back.add_closures(&[closure(0, 14.7)]);
-        back.renew_reliability();
+        back.recompute_reliability();
         assert!(
             !back.reliability_evidence().is_unreliable(),
             "one alone may be wrong: {:?}",
             back.reliability_evidence()
         );
         back.add_closures(&[closure(1, 14.7)]);
-        back.renew_reliability();
+        back.recompute_reliability();
         assert_eq!((back.counts().closures, back.reliability_evidence().conflicting_closures), (0, 2));
         assert!(back.reliability_evidence().is_unreliable());
     }

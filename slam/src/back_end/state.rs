@@ -28,7 +28,7 @@ pub struct BackEndState {
     /// Nodes from before it that are searched for once more.
     pub to_retry: Vec<u32>,
     /// Nodes with links to older parts since the last solution.
-    pub unsolved: usize,
+    pub linked_since_solve: usize,
     /// Solutions so far.
     pub solutions: u64,
     /// Number of closures retracted.
@@ -50,14 +50,14 @@ impl BackEnd {
     pub fn state(&self) -> BackEndState {
         BackEndState {
             nodes: self.nodes.clone(),
-            front_ids: self.numbers.front_ids.clone(),
+            front_ids: self.node_ids.front_ids.clone(),
             poses: self.graph.poses().to_vec(),
             drawn: self.mapper.drawn(),
             edges: self.graph.edges().to_vec(),
             travelled_m: self.loop_closures.travelled_m,
             not_found: self.loop_closures.not_found.iter().copied().collect(),
             to_retry: self.loop_closures.to_retry.iter().copied().collect(),
-            unsolved: self.unsolved,
+            linked_since_solve: self.linked_since_solve,
             solutions: self.solutions,
             retracted: self.loop_closures.retracted,
             removed_nodes: self.lifelong.removed_nodes,

@@ -71,8 +71,8 @@ impl BackEnd {
         self.graph.covariance_reference_node()
     }
 
-    /// Judges the newest node by its covariance.
-    pub(super) fn judge_newest_position(&mut self) {
+    /// Checks whether the newest node's position is known well enough, by its covariance.
+    pub(super) fn check_newest_position_uncertainty(&mut self) {
         let Some(newest) = self.nodes.len().checked_sub(1) else { return };
         let before = newest.checked_sub(1).and_then(|before| self.nodes[before].uncertain_component);
         let is_known =
@@ -83,7 +83,7 @@ impl BackEnd {
     }
 
     fn is_position_known(&self, id: u32) -> bool {
-        self.graph.position_variance_m2(id) <= POSITION_SIGMA_MAX_M.powi(2)
+        self.graph.position_variance_trace_m2(id) <= POSITION_SIGMA_MAX_M.powi(2)
     }
 }
 
@@ -137,7 +137,7 @@ mod tests {
         assert!(back.nodes[20..50].iter().all(Node::is_placed));
         assert!(back.nodes[50..].iter().all(|node| node.unplaced_component() == Some(50)));
         // The next node goes on beyond it.
-        back.judge_newest_position();
+        back.check_newest_position_uncertainty();
         assert_eq!(back.nodes[59].unplaced_component(), Some(50));
     }
 }

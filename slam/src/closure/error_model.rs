@@ -23,7 +23,7 @@ impl ErrorModel {
     /// Whether a search that counts them differs from one that does not.
     pub(super) fn has_effect(self, known: Option<RelativeUncertainty>) -> bool {
         self == Self::Random
-            || known.is_some_and(|known| known.bias.distance_m().powi(2) > known.position_variance_m2)
+            || known.is_some_and(|known| known.bias.distance_m().powi(2) > known.worst_axis_variance_m2)
     }
 }
 
@@ -56,8 +56,8 @@ mod tests {
             ErrorModel::Systematic.has_effect(Some(far)) && !ErrorModel::Systematic.has_effect(Some(near))
         );
         assert!(ErrorModel::Random.has_effect(Some(near)) && ErrorModel::Random.has_effect(None));
-        assert!(ErrorModel::Systematic.apply(far).position_variance_m2.sqrt() > 11.2);
-        assert!(ErrorModel::Random.apply(far).position_variance_m2.sqrt() < 4.0);
+        assert!(ErrorModel::Systematic.apply(far).worst_axis_variance_m2.sqrt() > 11.2);
+        assert!(ErrorModel::Random.apply(far).worst_axis_variance_m2.sqrt() < 4.0);
         assert_eq!(ErrorModel::Random.apply(far).bias, SystematicError::default());
     }
 

@@ -11,8 +11,10 @@ use msg::{Pose2, Stamp, TrackingState};
 const KIDNAP_MIN_S: f64 = 4.0;
 /// Wheels that moved faster than this in the mean of that time drove the robot, m/s.
 const STANDING_SPEED_MAX_M_S: f64 = 0.15;
-/// A robot that moved farther than this since the newest reference looks at something else, metres and radians.
-const MOVED_MAX: [f64; 2] = [1.0, 0.5];
+/// A robot that moved farther than this since the newest reference looks at something else, metres.
+const MOVED_MAX_M: f64 = 1.0;
+/// A robot that turned by more than this since then, too, radians.
+const TURNED_MAX_RAD: f64 = 0.5;
 /// Least share of each scan's points that lie on surfaces of the other one if the robot stood. At the 139 stops of the recorded logs it is 0.36 or more.
 /// Where generated robots were carried out of their view it is 0.17 or less. Cropped to 90°, three of 77 stops of recorded logs are below:
 /// there at most one of the scans sees through [`CONTRADICTED_POINTS_MIN`] points of the other.
@@ -47,9 +49,8 @@ impl FrontEnd {
     fn sees_another_view(&self, cloud: &Cloud, pose: &TrackedPose) -> bool {
         let Some(reference) = self.matcher.references.back() else { return false };
         let reference_from_now = reference.local_from_base.between(pose.local_from_base);
-        let [most_m, most_rad] = MOVED_MAX;
-        let is_near = reference_from_now.x_m.hypot(reference_from_now.y_m) < most_m
-            && reference_from_now.yaw_rad.abs() < most_rad;
+        let is_near = reference_from_now.x_m.hypot(reference_from_now.y_m) < MOVED_MAX_M
+            && reference_from_now.yaw_rad.abs() < TURNED_MAX_RAD;
         is_near && shows_another_view(&reference.cloud, cloud, reference_from_now)
     }
 

@@ -68,9 +68,9 @@ impl LocalFrameInMap {
 
     /// Covariance of a pose in the map, `local` being that in the front end's frame.
     pub fn covariance_in_map(&self, local: Matrix3<f64>, map_from_base: Pose2) -> Matrix3<f64> {
-        let FrameUncertainty { covariance: [xx, xy, xt, yy, yt, tt], at } = self.uncertainty;
+        let FrameUncertainty { covariance: [xx, xy, xt, yy, yt, tt], position_m } = self.uncertainty;
         let covariance = Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt);
-        let moved = [map_from_base.x_m - at[0], map_from_base.y_m - at[1]];
+        let moved = [map_from_base.x_m - position_m[0], map_from_base.y_m - position_m[1]];
         carry_covariance(covariance, moved) + turn_covariance(local, self.map_from_local.yaw_rad)
     }
 
@@ -83,7 +83,9 @@ impl LocalFrameInMap {
 
     /// Applies the newest frame update that is due with this node; those before it are out of date.
     pub fn apply_frame_updates(&mut self, node: u32) {
-        let Some(due) = self.frame_updates.iter().rposition(|r| r.effective_from <= node) else { return };
+        let Some(due) = self.frame_updates.iter().rposition(|r| r.effective_from_node <= node) else {
+            return;
+        };
         let due = self.frame_updates.drain(..=due).next_back();
         due.into_iter().for_each(|frame_update| self.apply(frame_update));
     }
@@ -96,7 +98,8 @@ impl LocalFrameInMap {
 
     fn apply(&mut self, frame_update: MapFrameUpdate) {
         self.map_from_local = frame_update.map_from_local;
-        self.is_located = frame_update.located && self.last_break.is_none_or(|at| frame_update.cause >= at);
+        self.is_located =
+            frame_update.located && self.last_break.is_none_or(|at| frame_update.cause_node >= at);
         self.is_unconfirmed = frame_update.unconfirmed;
         self.apply_quality(frame_update);
     }

@@ -88,7 +88,7 @@ impl FrontEnd {
     /// Odometry that slipped, or that is back after it was missing, counts from the matched pose.
     pub(super) fn rebase_odometry(&mut self, pose: &TrackedPose, continuous_from_base: Option<Pose2>) {
         let Some((newest, odom)) = self.matcher.references.back().zip(continuous_from_base) else { return };
-        let is_back = self.motion.node_continuous_from_base.is_none() && pose.is_tracked;
+        let is_back = self.motion.continuous_from_reference.is_none() && pose.is_tracked;
         if pose.slipped
             && let Some(moved) = self.motion.moved_since_reference(continuous_from_base)
         {
@@ -110,7 +110,7 @@ impl FrontEnd {
         pose: &TrackedPose,
         continuous_from_base: Option<Pose2>,
     ) {
-        if continuous_from_base.is_some() && self.motion.node_continuous_from_base.is_some() {
+        if continuous_from_base.is_some() && self.motion.continuous_from_reference.is_some() {
             self.node_builder.unmeasured_s = 0.0;
             return;
         }
@@ -127,10 +127,10 @@ pub(super) struct MotionModel {
     pub odometry: OdometryBuffer,
     /// The last accepted scan.
     pub last: Option<LastScan>,
-    /// Odometry at the newest reference scan, if it has not jumped since.
-    pub node_continuous_from_base: Option<Pose2>,
+    /// Pose of the newest reference scan in the continuous frame, if odometry has not jumped since.
+    pub continuous_from_reference: Option<Pose2>,
     /// Covariance of that scan's pose.
-    pub node_covariance: Matrix3<f64>,
+    pub reference_covariance: Matrix3<f64>,
 }
 
 impl MotionModel {
@@ -138,14 +138,14 @@ impl MotionModel {
         Self {
             odometry: OdometryBuffer::new(config.clone()),
             last: None,
-            node_continuous_from_base: None,
-            node_covariance: Matrix3::zeros(),
+            continuous_from_reference: None,
+            reference_covariance: Matrix3::zeros(),
         }
     }
 
     /// Forgets where the robot was: nothing is known of its motion since the last scan.
     pub fn forget(&mut self) {
-        self.node_continuous_from_base = None;
+        self.continuous_from_reference = None;
         self.last = self.last.map(|last| LastScan { continuous_from_base: None, motion: None, ..last });
     }
 
@@ -171,12 +171,12 @@ impl MotionModel {
         if let (Some(before), Some(now)) = (last.continuous_from_base, continuous_from_base) {
             let possible_m = config.speed_max_m_s * interval_s + ODOMETRY_JUMP_MARGIN_M;
             if before.distance_m(now) > ODOMETRY_JUMP_FACTOR * possible_m {
-                self.node_continuous_from_base = None;
+                self.continuous_from_reference = None;
             }
         }
         // From the newest reference, not from the last scan: many small steps would add up to more
         // uncertainty than one long one.
-        let reference = newest.zip(self.node_continuous_from_base).zip(continuous_from_base);
+        let reference = newest.zip(self.continuous_from_reference).zip(continuous_from_base);
         if let Some(((node, before), now)) = reference {
             let moved = before.between(now);
             let (distance_m, turn_rad) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
@@ -186,7 +186,7 @@ impl MotionModel {
                 sigma_rad: config.sigma_rad
                     + config.sigma_rad_per_rad * turn_rad
                     + config.sigma_rad_per_m * distance_m,
-                start_covariance: self.node_covariance,
+                start_covariance: self.reference_covariance,
                 distance_m,
                 allows_dead_reckoning: true,
             };
@@ -222,12 +222,12 @@ impl MotionModel {
     /// After wheels have slipped, odometry counts from the matched pose, so that the slip no longer pulls.
     pub fn rebase_odometry(&mut self, newest: &Node, local_from_base: Pose2, continuous_from_base: Pose2) {
         let moved = newest.local_from_base.between(local_from_base);
-        self.node_continuous_from_base = Some(continuous_from_base * moved.inverse());
+        self.continuous_from_reference = Some(continuous_from_base * moved.inverse());
     }
 
     /// Odometry from the newest reference scan to now.
     pub fn moved_since_reference(&self, continuous_from_base: Option<Pose2>) -> Option<Pose2> {
-        self.node_continuous_from_base.zip(continuous_from_base).map(|(before, now)| before.between(now))
+        self.continuous_from_reference.zip(continuous_from_base).map(|(before, now)| before.between(now))
     }
 
     /// Records an accepted scan.

@@ -14,8 +14,8 @@ pub(super) struct NodeBuilder {
     pub next_node: u32,
     /// Id of the newest node sent to the back end, and its pose in the front end's frame.
     pub published: Option<(u32, Pose2)>,
-    /// Odometry from that node to the newest reference scan.
-    pub published_from_newest: Option<Pose2>,
+    /// Motion by odometry from that node to the newest reference scan.
+    pub last_node_from_reference: Option<Pose2>,
     /// Scans in a row that did not fit.
     pub lost_in_row: u32,
     /// Whether the last scan did not fit.
@@ -37,7 +37,7 @@ impl NodeBuilder {
         Self {
             next_node: 0,
             published: None,
-            published_from_newest: Some(Pose2::IDENTITY),
+            last_node_from_reference: Some(Pose2::IDENTITY),
             lost_in_row: 0,
             last_scan_lost: false,
             requested: false,
@@ -79,7 +79,7 @@ impl NodeBuilder {
     pub fn publish(&mut self, node: Node, keep_path: bool) -> Node {
         self.next_node += 1;
         self.published = Some((node.id, node.local_from_base));
-        self.published_from_newest = Some(Pose2::IDENTITY);
+        self.last_node_from_reference = Some(Pose2::IDENTITY);
         let unmeasured_s = core::mem::take(&mut self.unmeasured_s);
         let slip = core::mem::take(&mut self.slip);
         let possibly_kidnapped = core::mem::take(&mut self.possibly_kidnapped);

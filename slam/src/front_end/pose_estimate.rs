@@ -1,8 +1,8 @@
 //! What the front end gives out: the pose in the map, its covariance and its state.
 
-use super::FrontEnd;
 use super::local_frame::LocalFrameInMap;
 use super::scan_matcher::TrackedPose;
+use super::{FrontEnd, PoseWithOdometry};
 use crate::graph::upper_triangle;
 use msg::{Pose2, PoseEstimate, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
@@ -59,12 +59,15 @@ impl FrontEnd {
             false => unknown_pose_covariance(),
         };
         if let (Some(continuous_from_base), true) = (continuous_from_base, is_located) {
-            self.newest_with_odometry = Some([map_from_base, continuous_from_base.inverse()]);
+            self.newest_with_odometry = Some(PoseWithOdometry {
+                map_from_base,
+                base_from_continuous: continuous_from_base.inverse(),
+            });
         }
         let continuous_from_odom = self.motion.odometry.continuous_from_odom();
-        let map_from_odom = self.newest_with_odometry.map(|[map_from_base, base_from_continuous]| {
-            map_from_base * (base_from_continuous * continuous_from_odom)
-        });
+        let map_from_odom = self
+            .newest_with_odometry
+            .map(|newest| newest.map_from_base * (newest.base_from_continuous * continuous_from_odom));
         PoseEstimate {
             header: msg::Header { stamp: scan.header.stamp, ..Default::default() },
             scan_seq: scan.header.seq,

@@ -2,7 +2,7 @@
 
 use super::motion::MotionModel;
 use super::node_builder::NodeBuilder;
-use super::{FrontEnd, FrontEndCounts, LastScan};
+use super::{FrontEnd, FrontEndCounts, LastScan, PoseWithOdometry};
 use crate::config::SlamConfig;
 use crate::node::{MapFrameUpdate, Node, SweptPath};
 use crate::odometry::OdometryBuffer;
@@ -30,15 +30,15 @@ pub struct FrontEndState {
     pub located: bool,
     /// Pose of the front end's frame in the loop-closed map.
     pub map_from_local: Pose2,
-    /// Odometry from the newest published node to the newest reference scan; `None` if unknown.
-    pub published_from_newest: Option<Pose2>,
+    /// Motion by odometry from the newest published node to the newest reference scan; `None` if unknown.
+    pub last_node_from_reference: Option<Pose2>,
     /// What odometry measured too much since the newest node, where scans contradicted it: (x, y, yaw), metres and radians.
     pub slip: [f64; 3],
-    /// Pose by odometry at the newest reference scan; `None` if unknown.
-    pub node_continuous_from_base: Option<Pose2>,
+    /// Pose of the newest reference scan in the continuous frame of odometry; `None` if unknown.
+    pub continuous_from_reference: Option<Pose2>,
     /// Covariance over (x, y, yaw) of the newest reference scan's pose.
     #[serde(with = "crate::encoding::matrix")]
-    pub node_covariance: Matrix3<f64>,
+    pub reference_covariance: Matrix3<f64>,
     /// The newest node after an odometry break.
     pub last_break: Option<u32>,
     /// The last accepted scan.
@@ -47,7 +47,7 @@ pub struct FrontEndState {
     pub counts: FrontEndCounts,
     /// Frame updates that take effect with a later node, oldest first.
     pub frame_updates: Vec<MapFrameUpdate>,
-    /// The newest odometry messages, in the continuous frame.
+    /// The newest odometry messages; their `odom_from_base` is the pose in the continuous frame.
     pub odometry: Vec<Odometry>,
     /// Pose of the odometry frame in the continuous frame, which does not jump when the writer restarts.
     pub continuous_from_odom: Pose2,
@@ -71,13 +71,13 @@ impl FrontEnd {
                 state.rejected_odometry,
             ),
             last: state.last,
-            node_continuous_from_base: state.node_continuous_from_base,
-            node_covariance: state.node_covariance,
+            continuous_from_reference: state.continuous_from_reference,
+            reference_covariance: state.reference_covariance,
         };
         front.node_builder = NodeBuilder {
             next_node: state.next_node,
             published: newest.last().map(|node| (state.next_node.saturating_sub(1), node.local_from_base)),
-            published_from_newest: state.published_from_newest,
+            last_node_from_reference: state.last_node_from_reference,
             lost_in_row: state.lost_in_row,
             last_scan_lost: state.last_scan_lost,
             requested: false,
@@ -93,7 +93,10 @@ impl FrontEnd {
         front.frame.closures = state.closures;
         front.counts = state.counts;
         front.newest_with_odometry = state.last.filter(|_| state.located).and_then(|last| {
-            Some([state.map_from_local * last.local_from_base, last.continuous_from_base?.inverse()])
+            Some(PoseWithOdometry {
+                map_from_base: state.map_from_local * last.local_from_base,
+                base_from_continuous: last.continuous_from_base?.inverse(),
+            })
         });
         front
     }
@@ -110,10 +113,10 @@ impl FrontEnd {
             closures: self.frame.closures,
             located: self.frame.is_located,
             map_from_local: self.frame.map_from_local,
-            published_from_newest: self.node_builder.published_from_newest,
+            last_node_from_reference: self.node_builder.last_node_from_reference,
             slip: self.node_builder.slip,
-            node_continuous_from_base: self.motion.node_continuous_from_base,
-            node_covariance: self.motion.node_covariance,
+            continuous_from_reference: self.motion.continuous_from_reference,
+            reference_covariance: self.motion.reference_covariance,
             last_break: self.frame.last_break,
             last: self.motion.last,
             counts: self.counts,

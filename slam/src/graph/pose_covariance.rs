@@ -60,22 +60,22 @@ pub(crate) fn turn_covariance(covariance: Matrix3<f64>, yaw_rad: f64) -> Matrix3
 }
 
 impl Graph {
-    /// Covariance of a node's pose in the map over (x, y, yaw), as seen from the node that covariances are seen from.
+    /// Covariance of a node's pose in the map over (x, y, yaw), as seen from the covariance reference node.
     pub fn covariance(&self, node: u32) -> Matrix3<f64> {
         self.covariances[node as usize].map_or_else(Matrix3::zeros, |known| known.covariance)
     }
 
-    /// Variance of a node's position in the map, the sum of both axes, m².
-    pub fn position_variance_m2(&self, node: u32) -> f64 {
+    /// Trace of the covariance of a node's position in the map: the sum of the variances along both axes, m².
+    pub fn position_variance_trace_m2(&self, node: u32) -> f64 {
         self.covariances[node as usize].map_or(0.0, |known| known.spread())
     }
 
-    /// The node that the covariances are seen from.
+    /// The covariance reference node: covariances are as seen from it.
     pub fn covariance_reference_node(&self) -> u32 {
         self.covariance_reference_node
     }
 
-    /// Finds the newest node's covariance from its edges to older nodes. The first node is the one that covariances are seen from.
+    /// Finds the newest node's covariance from its edges to older nodes. The first node is the covariance reference node.
     pub fn update_newest_covariance(&mut self) {
         let Some(newest) = self.poses.len().checked_sub(1) else { return };
         if newest == 0 {
@@ -244,7 +244,7 @@ impl OdometryPart {
 }
 
 impl PathCovariance {
-    /// The covariance of the node that covariances are seen from.
+    /// The covariance of the covariance reference node.
     fn of_reference() -> Self {
         Self { covariance: Matrix3::zeros(), odometry_m: 0.0 }
     }

@@ -6,16 +6,17 @@ use nalgebra::{Matrix3, Vector3};
 /// Uncertainty of a node's pose as seen from another one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RelativeUncertainty {
-    /// Variance of the position, m².
-    pub position_variance_m2: f64,
+    /// Variance of the position along the axis that is known worst, at most, m².
+    pub worst_axis_variance_m2: f64,
     /// Variance of the heading, rad².
     pub heading_variance_rad2: f64,
-    /// On top, what errors of the heading that repeat along the way make of the other node's pose as seen from this one.
+    /// Effect of heading errors that repeat along the way. It is not part of the variances.
     pub bias: SystematicError,
 }
 
-/// What one standard deviation of errors of the heading that repeat along a way makes of the pose at one end, as seen from the other: a bend
-/// that is the same everywhere displaces the end to one side only, and turns it (Kelly, "Linearized error propagation in odometry",
+/// Error of the pose at the end of a way whose heading bends by one standard deviation of the systematic error.
+///
+/// A bend that is the same everywhere displaces the end to one side only, and turns it (Kelly, "Linearized error propagation in odometry",
 /// International Journal of Robotics Research 23(2), 2004).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SystematicError {
@@ -48,24 +49,24 @@ impl SystematicError {
 }
 
 impl RelativeUncertainty {
-    /// The uncertainty beyond one more edge, from whose other end the first node is at `to_first_m`, in the axes of the map. Independent
-    /// errors add up as variances, what repeats adds up as it is; the edge is `backwards` if it leads to an older node.
+    /// The uncertainty beyond one more edge. `to_first_m` leads from the edge's other end to the first node, in the axes of the map. The edge
+    /// is `backwards` if it leads to an older node. Independent errors add up as variances, errors that repeat as they are.
     fn beyond(self, edge: &Edge, backwards: bool, to_first_m: [f64; 2], bias_rad_per_m: f64) -> Self {
         let length_squared = edge.a_from_b.x_m.powi(2) + edge.a_from_b.y_m.powi(2);
         let sign = if backwards { 1.0 } else { -1.0 };
         Self {
-            position_variance_m2: self.position_variance_m2
+            worst_axis_variance_m2: self.worst_axis_variance_m2
                 + self.heading_variance_rad2 * length_squared
-                + edge.variance[0],
-            heading_variance_rad2: self.heading_variance_rad2 + edge.variance[1],
+                + edge.variances.worst_axis_m2,
+            heading_variance_rad2: self.heading_variance_rad2 + edge.variances.heading_rad2,
             bias: self.bias.bent(sign * bias_rad_per_m * length_squared.sqrt(), to_first_m),
         }
     }
 
-    /// The uncertainty with the errors that repeat in its variances.
+    /// The uncertainty whose variances contain the errors that repeat.
     pub fn with_bias(self) -> Self {
         Self {
-            position_variance_m2: self.position_variance_m2 + self.bias.distance_m().powi(2),
+            worst_axis_variance_m2: self.worst_axis_variance_m2 + self.bias.distance_m().powi(2),
             heading_variance_rad2: self.heading_variance_rad2 + self.bias.turned_rad.powi(2),
             ..self
         }
@@ -73,13 +74,14 @@ impl RelativeUncertainty {
 }
 
 impl Graph {
-    /// How well the nodes around `from` are known as seen from it: the best single way through the
-    /// graph to each, which overestimates what all ways together would give. Nodes beyond
-    /// `position_variance_max_m2` (m²) are `None`. Errors of the heading that repeat count as `graph.bias_rad_per_m` says.
+    /// How well the nodes around `from` are known as seen from it, along the best single way through the graph to each.
+    ///
+    /// All ways together would give less. Nodes beyond `worst_axis_variance_max_m2` (m²) are `None`. Heading errors that
+    /// repeat are `graph.bias_rad_per_m`.
     pub fn uncertainty_from(
         &self,
         from: u32,
-        position_variance_max_m2: f64,
+        worst_axis_variance_max_m2: f64,
     ) -> Vec<Option<RelativeUncertainty>> {
         let mut known: Vec<Option<RelativeUncertainty>> = vec![None; self.poses.len()];
         let mut open = std::collections::BinaryHeap::new();
@@ -87,7 +89,7 @@ impl Graph {
         open.push((core::cmp::Reverse(0_u64), from));
         while let Some((core::cmp::Reverse(bits), node)) = open.pop() {
             let Some(here) = known[node as usize] else { continue };
-            if here.position_variance_m2.to_bits() != bits {
+            if here.worst_axis_variance_m2.to_bits() != bits {
                 continue;
             }
             for edge in self.edges_of(node) {
@@ -95,11 +97,11 @@ impl Graph {
                 let [first, next_pose] = [from, next].map(|id| self.poses[id as usize]);
                 let to_first_m = [first.x_m - next_pose.x_m, first.y_m - next_pose.y_m];
                 let there = here.beyond(edge, next < node, to_first_m, self.config.bias_rad_per_m);
-                let better =
-                    known[next as usize].is_none_or(|k| there.position_variance_m2 < k.position_variance_m2);
-                if better && there.position_variance_m2 <= position_variance_max_m2 {
+                let better = known[next as usize]
+                    .is_none_or(|k| there.worst_axis_variance_m2 < k.worst_axis_variance_m2);
+                if better && there.worst_axis_variance_m2 <= worst_axis_variance_max_m2 {
                     known[next as usize] = Some(there);
-                    open.push((core::cmp::Reverse(there.position_variance_m2.to_bits()), next));
+                    open.push((core::cmp::Reverse(there.worst_axis_variance_m2.to_bits()), next));
                 }
             }
         }

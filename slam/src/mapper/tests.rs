@@ -138,13 +138,13 @@ fn a_node_beyond_the_largest_map_is_counted_and_comes_back() {
     let near = [Pose2::IDENTITY, Pose2::new(0.5, 0.5, 0.0), Pose2::new(1.0, 0.0, 0.0)];
     let mut mapper = mapper();
     mapper.finish(&nodes, &far);
-    assert_eq!(mapper.clipped(), 1);
+    assert_eq!(mapper.nodes_not_drawn(), 1);
     assert_eq!(mapper.finish(&nodes, &near).to_owned(), finished(&nodes, &near));
-    assert_eq!(mapper.clipped(), 0);
+    assert_eq!(mapper.nodes_not_drawn(), 0);
     // Then the first one flies off, and room is for those that stay.
     let gone = [Pose2::new(-1e9, f64::MAX, 0.0), near[1], near[2]];
     mapper.finish(&nodes, &gone);
-    assert_eq!(mapper.clipped(), 1);
+    assert_eq!(mapper.nodes_not_drawn(), 1);
     assert_eq!(mapper.finish(&nodes, &near).to_owned(), finished(&nodes, &near));
 }
 

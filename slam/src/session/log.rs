@@ -126,7 +126,7 @@ pub struct LogContents {
     /// The records, and where in the file each ends, bytes.
     pub records: Vec<(LogRecord, u64)>,
     /// Bytes of whole records, and why what follows is none; `None` if nothing follows.
-    pub torn: Option<(u64, SessionError)>,
+    pub incomplete_tail: Option<(u64, SessionError)>,
 }
 
 impl LogContents {
@@ -141,7 +141,7 @@ impl LogContents {
                     contents.records.push((record, end as u64));
                 }
                 Err(why) => {
-                    contents.torn = Some((end as u64, why));
+                    contents.incomplete_tail = Some((end as u64, why));
                     break;
                 }
             }
@@ -217,9 +217,11 @@ impl BackEnd {
             referenced.iter().all(|count| *count as usize <= self.nodes().len())
         })?;
         // The front end had not received the newest when it reported its state.
-        let newest_known = front.frame_updates.last().map_or(0, |frame_update| frame_update.effective_from);
+        let newest_known =
+            front.frame_updates.last().map_or(0, |frame_update| frame_update.effective_from_node);
         let unknown = |frame_update: &MapFrameUpdate| {
-            frame_update.effective_from >= front.next_node && frame_update.effective_from > newest_known
+            frame_update.effective_from_node >= front.next_node
+                && frame_update.effective_from_node > newest_known
         };
         front.frame_updates.extend(frame_updates.into_iter().filter(unknown).collect::<Vec<_>>());
         Some(front)

@@ -7,7 +7,7 @@ use super::{Session, SessionError, SessionIdentity};
 use crate::back_end::{BackEndState, ReliabilityMonitor};
 use crate::closure::ClosureCandidate;
 use crate::front_end::FrontEndState;
-use crate::graph::{Edge, EdgeKind};
+use crate::graph::{Edge, EdgeKind, PoseVariances};
 use crate::node::{Node, Rays, SweptPath};
 use crate::reliability::{NodeComparison, ReliabilityEvidence, WallAgreement};
 use crate::relocalize::LocalFrameEstimate;
@@ -163,7 +163,9 @@ fn check_node(node: &Node) -> Result {
 fn check_edge(edge: &Edge, nodes: usize) -> Result {
     let there = (edge.a as usize) < nodes && (edge.b as usize) < nodes && edge.a != edge.b;
     check(there, "edge between nodes that are not there")?;
-    check(edge.variance.iter().all(|v| (0.0..=VARIANCE_MAX).contains(v)), "edge's variance")?;
+    let PoseVariances { worst_axis_m2, heading_rad2 } = edge.variances;
+    let is_variance = |v: f64| (0.0..=VARIANCE_MAX).contains(&v);
+    check(is_variance(worst_axis_m2) && is_variance(heading_rad2), "edge's variance")?;
     check((0.0..=1.0).contains(&edge.response), "closure's response")?;
     check_pose(edge.a_from_b, "edge's measurement")?;
     let is_direction = |rad: f64| rad.abs() <= PI && edge.kind == EdgeKind::ScanMatch;
@@ -212,7 +214,7 @@ fn check_back_end(back: &BackEndState) -> Result {
         check_pose(rejected.a_from_b, "rejected closure")?;
     }
     check_reliability(&back.reliability, nodes)?;
-    check(back.unsolved as u64 <= COUNT_MAX, "number of unsolved nodes")?;
+    check(back.linked_since_solve as u64 <= COUNT_MAX, "number of nodes linked since the last solution")?;
     let c = &detector.counts;
     let counts = [c.searches, c.below_min_response, c.ambiguous, c.contradicted, c.unconfirmed, c.accepted];
     let counts = counts.into_iter().chain([back.solutions, back.retracted, back.removed_nodes]);
@@ -266,9 +268,9 @@ fn check_front_end(front: &FrontEndState, nodes: usize) -> Result {
     check(front.lost_in_row <= NUMBER_MAX, "number of consecutive scans that did not fit")?;
     check_pose(front.map_from_local, "front end's frame in the map")?;
     check_pose(front.continuous_from_odom, "odometry's frame")?;
-    check_poses(front.node_continuous_from_base, "newest node's odometry")?;
-    check_poses(front.published_from_newest, "odometry since the newest node")?;
-    check_matrix(&front.node_covariance, "newest node's covariance")?;
+    check_poses(front.continuous_from_reference, "newest node's odometry")?;
+    check_poses(front.last_node_from_reference, "odometry since the newest node")?;
+    check_matrix(&front.reference_covariance, "newest node's covariance")?;
     if let Some(last) = &front.last {
         check_pose(last.local_from_base, "last pose")?;
         check_matrix(&last.covariance, "last pose's covariance")?;

@@ -134,7 +134,7 @@ mod tests {
             let log = turning(time_increment_s);
             let args = args(Path::new("turning.mcap"));
             let (mut front, _) =
-                slam::begin(SlamConfig::default(), None, args.mode.into(), InitialPose::Unknown);
+                slam::create_or_resume(SlamConfig::default(), None, args.mode.into(), InitialPose::Unknown);
             let (mut feeder, mut records) = (Feeder::new(&args, &log), log.records());
             while let Some(scan) = records.next_laser() {
                 feeder.scan(&mut front, &scan);

@@ -23,8 +23,10 @@ const REQUEST_PERIOD: Duration = Duration::from_millis(100);
 const STATE_PATIENCE: Duration = Duration::from_secs(1);
 /// Requests that may wait for the scan path's state when the session log adds one.
 const PENDING_LOG_MAX: usize = 32;
-/// Standard deviation of the pose with which a restarted SLAM continues, metres and radians.
-const CARRIED_SIGMA: [f64; 2] = [0.1, 0.05];
+/// Standard deviation of the position with which SLAM continues after a restart or a replacement, metres.
+const RESTART_SIGMA_M: f64 = 0.1;
+/// Standard deviation of the heading then, radians.
+const RESTART_SIGMA_RAD: f64 = 0.05;
 
 /// The back end with its channels. A step handles one event of the scan path and about a millisecond of other work.
 pub struct BackEndWorker<P: Ports> {
@@ -61,7 +63,7 @@ impl<P: Ports> BackEndWorker<P> {
                 log: SessionLog::new(run, robot, log_end),
                 front_number: 0,
                 is_new: false,
-                redraw: true,
+                map_changed: true,
                 pending: Vec::new(),
                 asked_at: now,
                 now,
@@ -96,8 +98,8 @@ impl<P: Ports> BackEndWorker<P> {
         if std::mem::take(&mut state.is_new) {
             submaps.restart();
         }
-        if std::mem::take(&mut state.redraw) {
-            map.redraw();
+        if std::mem::take(&mut state.map_changed) {
+            map.mark_changed();
             submaps.update(&state.back);
         }
         let now = state.now;
@@ -144,7 +146,7 @@ pub struct WorkerState {
     /// The back end has been replaced since the last step.
     is_new: bool,
     /// The map has changed since it was drawn.
-    redraw: bool,
+    map_changed: bool,
     /// Requests that wait for the scan path's state.
     pending: Vec<PendingRequest>,
     /// Moment at which the state was requested.
@@ -170,11 +172,12 @@ impl WorkerState {
     }
 
     fn add_node(&mut self, node: Node, start: Option<TrajectoryStart>) {
-        let [sigma_m, sigma_rad] = CARRIED_SIGMA;
         let estimate = match start {
-            Some(TrajectoryStart::At { map_from_local }) => {
-                Some(LocalFrameEstimate { map_from_local, sigma_m, sigma_rad })
-            }
+            Some(TrajectoryStart::At { map_from_local }) => Some(LocalFrameEstimate {
+                map_from_local,
+                sigma_m: RESTART_SIGMA_M,
+                sigma_rad: RESTART_SIGMA_RAD,
+            }),
             Some(TrajectoryStart::Unknown) | None => None,
         };
         let is_first = self.back.nodes().is_empty();
@@ -191,7 +194,7 @@ impl WorkerState {
         }
         self.commands.send_or_drop(FrontCommand::QueueFrameUpdate(frame_update));
         if self.back.mode() != SlamMode::Localization {
-            (self.redraw, self.autosave.changed) = (true, true);
+            (self.map_changed, self.autosave.changed) = (true, true);
         }
         // A found pose is worth saving even if the map is unchanged.
         self.autosave.changed |= !was_found && self.back.map_from_base().is_some();
@@ -200,7 +203,7 @@ impl WorkerState {
     /// Marks the map as changed by something else than nodes: to be drawn, published and saved.
     pub fn mark_changed(&mut self) {
         self.log.suspend();
-        self.redraw = true;
+        self.map_changed = true;
         self.autosave.changed = true;
     }
 
@@ -231,7 +234,7 @@ impl WorkerState {
     }
 
     /// Defers a request until the scan path's state is known.
-    pub fn wait_for_state(&mut self, pending: PendingRequest) {
+    pub fn defer_until_state(&mut self, pending: PendingRequest) {
         self.pending.push(pending);
         self.ask_for_state();
     }
@@ -278,7 +281,7 @@ impl WorkerState {
     fn request_log_record(&mut self) {
         if self.log.is_due(self.now) && self.pending.len() < PENDING_LOG_MAX {
             self.log.is_requested = true;
-            self.wait_for_state(PendingRequest::LogRecord);
+            self.defer_until_state(PendingRequest::LogRecord);
         }
     }
 
@@ -293,7 +296,7 @@ impl WorkerState {
         }
         if self.autosave.is_due(self.now) && !self.back.nodes().is_empty() {
             self.autosave.begin();
-            self.wait_for_state(PendingRequest::Autosave);
+            self.defer_until_state(PendingRequest::Autosave);
         }
     }
 

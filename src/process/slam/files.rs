@@ -169,7 +169,7 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
             Some(InitialPoseKind::LastNode) => poses.last().copied().map_or(InitialPose::Unknown, at),
             Some(InitialPoseKind::Unknown) | None => InitialPose::Unknown,
         };
-        let (front, back) = ::slam::begin(self.config.clone(), Some(session), mode, start);
+        let (front, back) = ::slam::create_or_resume(self.config.clone(), Some(session), mode, start);
         Ok(Loaded { front, back })
     }
 }

@@ -28,13 +28,13 @@ pub struct FrontEndLoop<P: Ports> {
 }
 
 impl<P: Ports> FrontEndLoop<P> {
-    /// Opens the channels. `odom_pose`: where `odom` lies in the map when the first scan comes, if the front end does
-    /// not know.
+    /// Opens the channels. `restart_map_from_odom` is the pose of `odom` in the map before the restart, if the front end does
+    /// not know its own pose.
     pub fn open(
         ports: &P,
         run: &Run,
         robot: RobotId,
-        (front, odom_pose): (FrontEnd, Option<Pose2>),
+        (front, restart_map_from_odom): (FrontEnd, Option<Pose2>),
         events: SyncSender<BackEndInput>,
         commands: Receiver<FrontCommand>,
     ) -> Result<Self, ChannelError> {
@@ -44,7 +44,7 @@ impl<P: Ports> FrontEndLoop<P> {
             scan_listener: ports.listener(&channel::scan(robot))?,
             odometry: ports.reader(&channel::odometry(robot))?,
             pose_estimates: ports.writer(&channel::pose_estimate(robot))?,
-            runner: FrontEndRunner::new(front, odom_pose, events, commands),
+            runner: FrontEndRunner::new(front, restart_map_from_odom, events, commands),
             refused: 0,
         })
     }
@@ -105,8 +105,8 @@ struct FrontEndRunner {
     /// Counts the front ends that were put in place.
     number: u32,
     paused: bool,
-    /// Transform of `odom` in the map with which the first scan begins.
-    odom_pose: Option<Pose2>,
+    /// Pose of `odom` in the map before a restart, until the first scan has used it.
+    restart_map_from_odom: Option<Pose2>,
     /// Where the front end began anew, reported with the next node.
     trajectory_start: Option<TrajectoryStart>,
     /// Number of scans that have waited for odometry.
@@ -122,7 +122,7 @@ struct FrontEndRunner {
 impl FrontEndRunner {
     fn new(
         front: FrontEnd,
-        odom_pose: Option<Pose2>,
+        restart_map_from_odom: Option<Pose2>,
         events: SyncSender<BackEndInput>,
         commands: Receiver<FrontCommand>,
     ) -> Self {
@@ -130,7 +130,7 @@ impl FrontEndRunner {
             front: Box::new(front),
             number: 0,
             paused: false,
-            odom_pose,
+            restart_map_from_odom,
             trajectory_start: None,
             last: None,
             waited: 0,
@@ -197,7 +197,8 @@ impl FrontEndRunner {
     fn waits_for_odometry(&mut self, scan: &Scan) -> bool {
         let age_s = self.odometry.map(|odometry| scan.header.stamp - odometry.header.stamp);
         let known = age_s.is_some_and(|age_s| (0.0..ODOMETRY_AGE_MAX_S).contains(&age_s));
-        let waits = self.odom_pose.is_some() && !known && self.waited < SCANS_WITHOUT_ODOMETRY_MAX;
+        let waits =
+            self.restart_map_from_odom.is_some() && !known && self.waited < SCANS_WITHOUT_ODOMETRY_MAX;
         self.waited += u32::from(waits);
         waits
     }
@@ -212,37 +213,37 @@ impl FrontEndRunner {
             self.last = self.last.map(|last| self.dead_reckoned(last, scan));
             return (self.last, true);
         }
-        if self.odom_pose.is_some() && self.front.odom_from_base(scan.header.stamp).is_none() {
+        if self.restart_map_from_odom.is_some() && self.front.odom_from_base(scan.header.stamp).is_none() {
             // Without odometry, where `odom` lies does not tell where the robot is.
-            self.odom_pose = None;
+            self.restart_map_from_odom = None;
             self.front.set_map_from_local(None);
             self.trajectory_start = Some(TrajectoryStart::Unknown);
         }
-        let mut step = self.front.process(scan);
-        if step.rejected.is_none()
-            && let Some(local_from_odom) = step.pose_estimate.map_from_odom()
-            && let Some(map_from_odom) = self.odom_pose.take()
+        let mut result = self.front.process(scan);
+        if result.rejected.is_none()
+            && let Some(local_from_odom) = result.pose_estimate.map_from_odom()
+            && let Some(map_from_odom) = self.restart_map_from_odom.take()
         {
             let map_from_local = map_from_odom * local_from_odom.inverse();
             self.front.set_map_from_local(Some(map_from_local));
-            step.pose_estimate.map_from_base = map_from_local * step.pose_estimate.map_from_base;
-            step.pose_estimate.map_from_odom = map_from_odom;
+            result.pose_estimate.map_from_base = map_from_local * result.pose_estimate.map_from_base;
+            result.pose_estimate.map_from_odom = map_from_odom;
             self.trajectory_start = Some(TrajectoryStart::At { map_from_local });
         }
-        if let Some(node) = step.node
+        if let Some(node) = result.node
             && self.report(FrontEvent::Node(node, self.trajectory_start))
         {
             self.trajectory_start = None;
         }
-        self.last = Some(step.pose_estimate);
-        (self.last, step.rejected.is_none())
+        self.last = Some(result.pose_estimate);
+        (self.last, result.rejected.is_none())
     }
 
     /// Begins with a new front end: at the robot's last pose if it `keeps_pose`, as the frame of the map is the same.
     fn continue_after_replacement(&mut self, keeps_pose: bool) {
-        (self.odom_pose, self.trajectory_start, self.waited) = (None, None, 0);
+        (self.restart_map_from_odom, self.trajectory_start, self.waited) = (None, None, 0);
         match self.last.filter(|_| keeps_pose) {
-            Some(last) if last.map_from_odom().is_some() => self.odom_pose = last.map_from_odom(),
+            Some(last) if last.map_from_odom().is_some() => self.restart_map_from_odom = last.map_from_odom(),
             Some(last) => {
                 // Without odometry: the new front end's frame lies where the robot stands.
                 self.front.set_map_from_local(Some(last.map_from_base));

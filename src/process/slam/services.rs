@@ -97,13 +97,13 @@ impl<P: Ports> Services<P> {
             SlamRequestKind::SaveSession => {
                 has_map(state)?;
                 let path = self.session_path(request)?;
-                wait_for_state(state, PendingRequest::Save(Box::new(*request), path))
+                defer_until_state(state, PendingRequest::Save(Box::new(*request), path))
             }
             SlamRequestKind::LoadSession => self.load_session(request, state),
             SlamRequestKind::SetPose => {
                 has_map(state)?;
                 pose_of(request)?;
-                wait_for_state(state, PendingRequest::SetPose(Box::new(*request)))
+                defer_until_state(state, PendingRequest::SetPose(Box::new(*request)))
             }
             SlamRequestKind::Relocalize => {
                 has_map(state)?;
@@ -134,7 +134,7 @@ impl<P: Ports> Services<P> {
             mode => mode,
         };
         let config = state.back.config().clone();
-        let (front, back) = ::slam::begin(config, None, mode, InitialPose::Unknown);
+        let (front, back) = ::slam::create_or_resume(config, None, mode, InitialPose::Unknown);
         state.replace(front, back, true);
         done("the map begins anew")
     }
@@ -306,11 +306,11 @@ fn submit_file_job(
     }
 }
 
-fn wait_for_state(state: &mut WorkerState, pending: PendingRequest) -> RequestResult {
+fn defer_until_state(state: &mut WorkerState, pending: PendingRequest) -> RequestResult {
     if state.pending() >= PENDING_MAX {
         return Err(RequestRefused::TooManyRequests);
     }
-    state.wait_for_state(pending);
+    state.defer_until_state(pending);
     Ok(RequestOutcome::Deferred)
 }
 

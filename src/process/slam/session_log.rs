@@ -210,7 +210,7 @@ pub(super) fn read(
             }
         };
         let contents = LogContents::decode(&bytes);
-        if let Some((end, why)) = contents.torn {
+        if let Some((end, why)) = contents.incomplete_tail {
             let cut = bytes.len() as u64 - end;
             tracing::warn!(
                 "slam of {robot}: {}: the last {cut} bytes are cut off: the file {why}",
