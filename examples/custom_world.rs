@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // 5 s of the simulator's 100 Hz ticks. A command is valid for 0.3 s, so it is repeated.
     for tick in 0..500 {
         let command = VelocityCommand { linear_m_s: 0.1, angular_rad_s: 0.2, ..VelocityCommand::default() };
-        simulator.command(&command);
+        simulator.set_velocity_command(&command);
         let step = simulator.step();
         if step.scan_due {
             simulator.scan_into(&mut scan);

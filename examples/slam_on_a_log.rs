@@ -74,7 +74,7 @@ fn map_simulation(slam: &mut Slam) -> Result<(), Error> {
     let mut scan = Box::new(Scan::zeroed());
     for _ in 0..4000 {
         let command = VelocityCommand { linear_m_s: 0.1, angular_rad_s: 0.3, ..VelocityCommand::default() };
-        simulator.command(&command);
+        simulator.set_velocity_command(&command);
         let tick = simulator.step();
         if let Some(odometry) = tick.odometry {
             slam.add_odometry(&odometry);

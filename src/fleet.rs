@@ -134,7 +134,7 @@ pub fn true_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetErro
 
 /// Returns the time by which a robot's simulator runs after the tick's stamp. The robots are spread over the tick so
 /// that they do not wake all at once. It is constant, so that it adds no jitter.
-pub fn tick_lag(robot: RobotId, robots: usize) -> Duration {
+pub fn tick_offset(robot: RobotId, robots: usize) -> Duration {
     Simulator::TICK * robot.index() as u32 / robots.max(1) as u32
 }
 

@@ -71,7 +71,7 @@ impl HeadsetRobots {
         let is_its = |robot: &&mut HeadsetRobot| self.names.topic(robot.id, "cmd_vel") == topic;
         let Some(robot) = self.robots.iter_mut().find(is_its) else { return };
         if let Ok(twist) = ros::decode::<Twist>(payload) {
-            robot.simulator.command(&VelocityCommand {
+            robot.simulator.set_velocity_command(&VelocityCommand {
                 linear_m_s: twist.linear[0],
                 angular_rad_s: twist.angular[2],
                 ..VelocityCommand::default()

@@ -52,7 +52,7 @@ pub trait Clock: Clone + 'static {
 
 /// Writes one channel.
 pub trait WritePort<T: Message> {
-    /// Sends what `fill` makes of an all-zero message. It fills in the stamp; the port numbers and times the message.
+    /// Calls `fill` on a zeroed message and sends it. `fill` sets the stamp; the port sets `seq`, `incarnation` and `sent`.
     fn send_with(&mut self, fill: impl FnOnce(&mut T));
     /// Sends a copy of a message.
     fn send(&mut self, message: &T) {

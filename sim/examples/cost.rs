@@ -46,7 +46,11 @@ fn measure(room: &Room, peers: usize, lidar: LidarConfig) -> Result<(), Box<dyn 
             }
         }
         let angular_rad_s = if tick % 1000 < 300 { 1.0 } else { -0.1 };
-        simulator.command(&VelocityCommand { linear_m_s: 0.15, angular_rad_s, ..VelocityCommand::default() });
+        simulator.set_velocity_command(&VelocityCommand {
+            linear_m_s: 0.15,
+            angular_rad_s,
+            ..VelocityCommand::default()
+        });
         let before = Instant::now();
         let due = simulator.step().scan_due;
         ticks.push(before.elapsed());

@@ -98,7 +98,11 @@ impl Driver {
             1..=200 => (0.0, 0.8),
             _ => (-0.1, 0.0),
         };
-        self.simulator.command(&VelocityCommand { linear_m_s, angular_rad_s, ..VelocityCommand::default() });
+        self.simulator.set_velocity_command(&VelocityCommand {
+            linear_m_s,
+            angular_rad_s,
+            ..VelocityCommand::default()
+        });
         let tick = self.simulator.step();
         self.backing_ticks = self.backing_ticks.saturating_sub(1);
         if tick.truth.contacts > self.truth.contacts {

@@ -41,7 +41,7 @@ const BRAKING_TICKS: usize = 40;
 /// let start: Pose2 = room.starts(1)?[0];
 /// let robot = RobotId::new(1).unwrap();
 /// let mut simulator = Simulator::new(&room, &SimConfig::default(), robot, start, 42)?;
-/// simulator.command(&VelocityCommand { linear_m_s: 0.1, ..VelocityCommand::default() });
+/// simulator.set_velocity_command(&VelocityCommand { linear_m_s: 0.1, ..VelocityCommand::default() });
 ///
 /// let mut scan: Scan = bytemuck::Zeroable::zeroed();
 /// let mut scans = 0;
@@ -153,7 +153,7 @@ impl Simulator {
 
     /// Sets the commanded velocity, clamped to the limits. It is valid until the timeout of the limits. A
     /// command that is not finite is refused and counted; the previous command stays valid.
-    pub fn command(&mut self, command: &VelocityCommand) {
+    pub fn set_velocity_command(&mut self, command: &VelocityCommand) {
         if !(command.linear_m_s.is_finite() && command.angular_rad_s.is_finite()) {
             self.refused += 1;
             return;

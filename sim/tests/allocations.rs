@@ -27,7 +27,7 @@ fn scans_allocate_nothing_and_ticks_grow_nothing() {
                     &GroundTruth { header, world_from_base, ..GroundTruth::default() },
                 );
             }
-            simulator.command(&drive(0.15, if tick % 500 < 250 { 0.6 } else { -0.4 }));
+            simulator.set_velocity_command(&drive(0.15, if tick % 500 < 250 { 0.6 } else { -0.4 }));
             simulator.step();
         }
         allocation_counter::measure(|| simulator.scan_into(&mut scan))

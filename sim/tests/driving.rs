@@ -91,7 +91,7 @@ fn commands_are_clamped() {
 #[test]
 fn a_robot_without_commands_stops() {
     let mut simulator = simulator(OPEN);
-    simulator.command(&drive(0.15, 0.0));
+    simulator.set_velocity_command(&drive(0.15, 0.0));
     let truths: Vec<_> = (0..100).map(|_| simulator.step().truth).collect();
     assert!((truths[29].linear_m_s - 0.15).abs() < 0.02, "valid for 0.3 s");
     assert!(truths[60].linear_m_s.abs() < 0.005, "stopped soon after");
@@ -102,9 +102,9 @@ fn a_robot_without_commands_stops() {
 #[test]
 fn commands_that_are_not_finite_are_refused_and_counted() {
     let mut simulator = simulator(OPEN);
-    simulator.command(&drive(0.1, 0.0));
+    simulator.set_velocity_command(&drive(0.1, 0.0));
     for (linear, angular) in [(f64::NAN, 0.0), (0.0, f64::INFINITY), (f64::NEG_INFINITY, f64::NAN)] {
-        simulator.command(&VelocityCommand {
+        simulator.set_velocity_command(&VelocityCommand {
             linear_m_s: linear,
             angular_rad_s: angular,
             ..VelocityCommand::default()

@@ -119,7 +119,7 @@ fn record(seed: u64, robot: RobotId) -> Vec<u8> {
     let mut simulator = Simulator::new(&room, &SimConfig::default(), robot, OPEN, seed).unwrap();
     let mut bytes = Vec::new();
     for tick in 0..1000 {
-        simulator.command(&drive(0.15, if tick % 300 < 150 { 0.7 } else { -0.4 }));
+        simulator.set_velocity_command(&drive(0.15, if tick % 300 < 150 { 0.7 } else { -0.4 }));
         let tick = simulator.step();
         bytes.extend_from_slice(bytemuck::bytes_of(&tick.truth));
         tick.odometry.iter().for_each(|odometry| bytes.extend_from_slice(bytemuck::bytes_of(odometry)));
@@ -146,7 +146,7 @@ fn transforms_equal_those_of_the_turtlebot3() {
     let mut simulator = Simulator::new(&box_room(), &config, robot(1), Pose2::IDENTITY, 1).unwrap();
     let mut last = None;
     for _ in 0..100 {
-        simulator.command(&drive(0.15, 0.2));
+        simulator.set_velocity_command(&drive(0.15, 0.2));
         let tick = simulator.step();
         last = tick.transforms.zip(tick.odometry).or(last);
     }
@@ -223,7 +223,7 @@ fn a_robot_collides_with_a_peer() {
     for _ in 0..1000 {
         let peer = truth(&simulator, Pose2::new(0.5, 0.0, 0.0), 0.0);
         simulator.update_peer(robot(2), &peer);
-        simulator.command(&drive(0.15, 0.0));
+        simulator.set_velocity_command(&drive(0.15, 0.0));
         last = simulator.step().truth;
     }
     // Front of the one at x + 0.038, rear of the other at 0.5 - 0.102.

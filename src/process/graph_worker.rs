@@ -71,8 +71,8 @@ pub struct GraphWorkerParts<S> {
 /// Runs the thread until `done`.
 pub fn run(run: &Run, state: GraphWorkerParts<DiskStorage>, done: &AtomicBool) -> Result<(), ChannelError> {
     lower_priority(NICE);
-    let node = run.attach_thread(Role::Merge, None, "graph")?;
-    let mut graph = GraphWorker::open(&node, run, state)?;
+    let participant = run.attach_thread(Role::Merge, None, "graph")?;
+    let mut graph = GraphWorker::open(&participant, run, state)?;
     let progress = run.progress(Role::Merge, None, WatchedThread::Second);
     serve(&mut graph, progress, &|| done.load(Ordering::Relaxed));
     Ok(())

@@ -95,8 +95,8 @@ pub struct RobotArgs {
     /// Which robot: 1 is robot1.
     #[arg(long, value_name = "K")]
     pub robot: usize,
-    /// Where the robot was, when its process is started again: for sim, the robot's pose in `world`;
-    /// for slam, that of `odom` in its map; metres and radians
+    /// Pose to continue from, when the process is started again: `world_from_base` for sim, `map_from_odom` for slam; metres and
+    /// radians
     #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
     pub at: Option<Pose2>,
     /// What every child is told.

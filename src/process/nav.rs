@@ -44,8 +44,8 @@ const NICE: i32 = 5;
 /// Runs the process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     lower_priority(NICE);
-    let node = run.attach(Role::Nav, None)?;
-    let mut process = NavigationProcess::open(&node, run, DiskStorage, JobThread::start)?;
+    let participant = run.attach(Role::Nav, None)?;
+    let mut process = NavigationProcess::open(&participant, run, DiskStorage, JobThread::start)?;
     serve(&mut process, run.progress(Role::Nav, None, WatchedThread::Main), &|| stop.requested());
     Ok(())
 }

@@ -105,7 +105,7 @@ impl From<&TopicCount> for TopicSummary {
 /// Runs the process of a recorded fleet until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     lower_priority(NICE);
-    let node = run.attach(Role::Record, None)?;
+    let participant = run.attach(Role::Record, None)?;
     let folder = run.dir.join(FOLDER);
     std::fs::create_dir_all(&folder)?;
     let files = RecordingFiles::new(
@@ -113,8 +113,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         run.config.recording.disk_free_bytes(),
     );
     let watch = OperatorWatch::start(run.clone(), stop.clone());
-    let recording = Recording::open(&node, run, files, encode_later, Some(watch))?;
-    let heartbeat = Heartbeat::new(&node, run, Role::Record, None)?;
+    let recording = Recording::open(&participant, run, files, encode_later, Some(watch))?;
+    let heartbeat = Heartbeat::new(&participant, run, Role::Record, None)?;
     let mut process = RecorderProcess { recording, heartbeat };
     serve(&mut process, run.progress(Role::Record, None, WatchedThread::Main), &|| stop.requested());
     let mut summary = process.recording.finish();
@@ -129,7 +129,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 /// # Errors
 /// A channel cannot be opened.
 pub fn record<P: Ports<Listener = Listener>>(
-    node: &P,
+    participant: &P,
     run: &Run,
     files: RecordingFiles,
     stop: &Stop,
@@ -137,7 +137,7 @@ pub fn record<P: Ports<Listener = Listener>>(
 ) -> Result<Summary, Error> {
     lower_priority(NICE);
     let watch = OperatorWatch::start(run.clone(), stop.clone());
-    let mut recording = Recording::open(node, run, files, encode_later, Some(watch))?;
+    let mut recording = Recording::open(participant, run, files, encode_later, Some(watch))?;
     while !over() && !recording.has_ended() {
         let due = recording.step();
         wait([], due);

@@ -22,9 +22,9 @@ const BEHIND_MAX_S: f64 = 1.0;
 const TIMEKEEPER: usize = 1;
 
 /// Runs the process until it is asked to stop.
-pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
-    let node = run.attach(Role::Sim, Some(robot))?;
-    let mut process = SimulatorProcess::open(&node, run, robot, at)?;
+pub fn run(run: &Run, robot: RobotId, world_from_base: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
+    let participant = run.attach(Role::Sim, Some(robot))?;
+    let mut process = SimulatorProcess::open(&participant, run, robot, world_from_base)?;
     serve(&mut process, run.progress(Role::Sim, Some(robot), WatchedThread::Main), &|| stop.requested());
     Ok(())
 }
@@ -38,7 +38,7 @@ pub struct SimulatorProcess<P: Ports> {
     clock: P::Clock,
     epoch: crate::clock::Epoch,
     /// Time by which a tick is simulated after its stamp.
-    lag: Duration,
+    tick_offset: Duration,
 }
 
 /// Input channels of a simulator.
@@ -55,8 +55,8 @@ struct Inputs<P: Ports> {
 }
 
 impl<P: Ports> SimulatorProcess<P> {
-    /// Puts the robot at its start, or `at` the pose where it was before.
-    pub fn open(ports: &P, run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<Self, Error> {
+    /// Puts the robot at its start, or at `world_from_base`, its pose before a restart.
+    pub fn open(ports: &P, run: &Run, robot: RobotId, world_from_base: Option<Pose2>) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Sim, Some(robot))?;
         let inputs = Inputs::open(ports, run, robot)?;
         let outputs = Outputs::open(ports, robot)?;
@@ -64,22 +64,22 @@ impl<P: Ports> SimulatorProcess<P> {
         let start = fleet::starts(&run.config, &room)?[robot.index()];
         let at_start = || fleet::simulator(&run.config, &room, robot, start);
         // The old pose may touch a table; the robot then begins at its start.
-        let mut simulator = match at {
-            Some(place) => fleet::simulator(&run.config, &room, robot, place).or_else(|why| {
-                tracing::warn!("{robot} cannot continue from {place:?} and begins at its start: {why}");
+        let mut simulator = match world_from_base {
+            Some(pose) => fleet::simulator(&run.config, &room, robot, pose).or_else(|why| {
+                tracing::warn!("{robot} cannot continue from {pose:?} and begins at its start: {why}");
                 at_start()
             })?,
             None => at_start()?,
         };
         let clock = ports.clock();
         simulator.set_time(run.epoch.stamp(clock.now()));
-        let lag = fleet::tick_lag(robot, run.config.fleet.robots);
-        Ok(Self { simulator, inputs, outputs, heartbeat, clock, epoch: run.epoch, lag })
+        let tick_offset = fleet::tick_offset(robot, run.config.fleet.robots);
+        Ok(Self { simulator, inputs, outputs, heartbeat, clock, epoch: run.epoch, tick_offset })
     }
 
     /// Returns when the next tick is simulated.
     fn due(&self) -> Monotonic {
-        self.epoch.moment(self.simulator.now() + Simulator::TICK + self.lag)
+        self.epoch.moment(self.simulator.now() + Simulator::TICK + self.tick_offset)
     }
 
     fn now(&self) -> Stamp {
@@ -142,7 +142,7 @@ impl<P: Ports> Inputs<P> {
                 self.outdated += 1;
                 continue;
             }
-            simulator.command(&command);
+            simulator.set_velocity_command(&command);
             self.valid_until = command.header.sent + self.command_age_max;
         }
         // By the machine's clock: a command that waited, or a process that was stopped, makes it valid no longer.

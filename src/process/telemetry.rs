@@ -25,8 +25,8 @@ const ROOM_NICE: i32 = 10;
 
 /// Runs the process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
-    let node = run.attach(Role::Telemetry, None)?;
-    let mut process = TelemetryProcess::open(&node, run, None)?;
+    let participant = run.attach(Role::Telemetry, None)?;
+    let mut process = TelemetryProcess::open(&participant, run, None)?;
     process.awaited_room = draw_room_in_background(run);
     serve(&mut process, run.progress(Role::Telemetry, None, WatchedThread::Main), &|| stop.requested());
     Ok(())

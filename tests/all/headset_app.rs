@@ -75,7 +75,8 @@ impl Headset {
         for index in 0..self.robots.len() {
             let (robot, simulator) = &mut self.robots[index];
             let robot = *robot;
-            simulator.command(&VelocityCommand { angular_rad_s: 0.5, ..VelocityCommand::default() });
+            simulator
+                .set_velocity_command(&VelocityCommand { angular_rad_s: 0.5, ..VelocityCommand::default() });
             let tick = simulator.step();
             let names = self.names.clone();
             if let Some(mut transforms) = tick.transforms {

@@ -96,7 +96,7 @@ impl Duo {
 
     fn steer(&mut self, robot: usize, linear_m_s: f64, angular_rad_s: f64) {
         let command = VelocityCommand { linear_m_s, angular_rad_s, ..VelocityCommand::default() };
-        self.members[robot - 1].simulator.command(&command);
+        self.members[robot - 1].simulator.set_velocity_command(&command);
         self.tick();
     }
 

@@ -102,7 +102,7 @@ impl World {
     pub fn step(&mut self, twists: &[Twist]) {
         for (robot, twist) in self.robots.iter_mut().zip(twists) {
             let Twist { linear_m_s, angular_rad_s } = *twist;
-            robot.simulator.command(&VelocityCommand {
+            robot.simulator.set_velocity_command(&VelocityCommand {
                 linear_m_s,
                 angular_rad_s,
                 ..VelocityCommand::default()

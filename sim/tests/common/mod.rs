@@ -36,7 +36,7 @@ impl Run {
     pub fn of(simulator: &mut Simulator, linear_m_s: f64, angular_rad_s: f64, ticks: usize) -> Self {
         let mut run = Self { truths: Vec::new(), odometry: Vec::new() };
         for _ in 0..ticks {
-            simulator.command(&drive(linear_m_s, angular_rad_s));
+            simulator.set_velocity_command(&drive(linear_m_s, angular_rad_s));
             let tick = simulator.step();
             run.truths.push(tick.truth);
             run.odometry.extend(tick.odometry);
