@@ -70,7 +70,7 @@ pub struct Outcome {
     pub links: usize,
     /// Active closures.
     pub closures: usize,
-    /// Closures taken back.
+    /// Retracted closures.
     pub retracted: u64,
     /// Nodes that are not placed in the map.
     pub unplaced: usize,

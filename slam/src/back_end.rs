@@ -315,7 +315,7 @@ impl BackEnd {
     }
 
     /// Adds accepted closures to the graph, solves, and links the nodes around them. Where they and others show together that the
-    /// path is wrong, it is broken.
+    /// path is wrong, an odometry break is added.
     fn add_closures(&mut self, closures: &[ClosureCandidate]) {
         let closures: Vec<ClosureCandidate> = closures
             .iter()
@@ -343,7 +343,7 @@ impl BackEnd {
         }
         self.loop_closures.retry_not_found();
         self.solve(false);
-        self.break_path_at_conflicting_closures();
+        self.break_odometry_at_conflicting_closures();
     }
 
     /// Nodes around both ends of closures, without doubles, in order.

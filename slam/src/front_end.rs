@@ -306,7 +306,7 @@ impl FrontEnd {
         let id = self.node_builder.next_node;
         let is_tracked = pose.is_tracked;
         if !is_tracked && self.matcher.contradicts(&cloud, pose.local_from_base) {
-            self.break_path();
+            self.add_odometry_break();
         }
         let moved = self.motion.moved_since_reference(continuous_from_base);
         self.motion.continuous_from_reference = continuous_from_base;
@@ -317,7 +317,7 @@ impl FrontEnd {
             local_from_base: pose.local_from_base,
             previous_from_this: self.node_builder.last_node_from_reference.zip(moved).map(|(a, b)| a * b),
             is_tracked,
-            odometry_break: self.frame.last_break == Some(id),
+            odometry_break: self.frame.last_odometry_break == Some(id),
             disconnected_component: None,
             uncertain_component: None,
             unmeasured_s: 0.0,

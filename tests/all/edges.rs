@@ -82,7 +82,7 @@ fn a_pinned_edge_survives_the_merge_process_and_the_map_does_not_move() {
     let after = edge(&run_dir, &[]);
     assert_eq!((&after["state"], &after["a_from_b"]), (&before["state"], &before["a_from_b"]), "{after}");
     assert_eq!(after["state"], "pinned");
-    // What he takes back, too.
+    // What he undoes, too.
     assert_eq!(edge(&run_dir, &["undo", "1", "2"])["state"], "undone");
     kill_merge(&mut fleet);
     assert_eq!(edge(&run_dir, &[])["state"], "undone");

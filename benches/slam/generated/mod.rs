@@ -115,7 +115,7 @@ fn print_worst(outcomes: &[Outcome]) {
         "wrong: runs with a pose of the map more than {METRE_SCALE_M} m off (what SLAM says is not placed in its map does not count: \
          placed %); silent: those in which it is more than three standard deviations off by its covariance and SLAM does not call \
          its map unreliable. alarms: runs \
-         without such a pose whose map is called unreliable. walls: share of the walls hit that the map has. Then active closures and closures taken back, \
+         without such a pose whose map is called unreliable. walls: share of the walls hit that the map has. Then active and retracted closures, \
          right and wrong ones. NEES over its degrees of freedom (1 is right) of the pose given out, links and closures: medians."
     );
     for outcome in worst(outcomes) {

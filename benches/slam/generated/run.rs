@@ -93,7 +93,7 @@ pub struct Outcome {
     pub is_unreliable: bool,
     /// Number of active closures: right, wrong.
     pub closures: [usize; 2],
-    /// Number of closures taken back: right, wrong.
+    /// Number of retracted closures: right, wrong.
     pub retracted: [usize; 2],
     /// Number of active wrong links between scans.
     pub wrong_links: usize,

@@ -252,7 +252,7 @@ impl BackEnd {
         self.graph.poses()[last.id as usize].distance_m(map_from_first) > reach_m
     }
 
-    /// Whether the odometry edge before a node is broken because the motion was not measured.
+    /// Whether the odometry break before a node is there because the motion was not measured.
     fn is_unmeasured_break(&self, id: u32) -> bool {
         let before = self.nodes[..id as usize].iter().rev().take_while(|node| !node.odometry_break);
         let unmeasured_s: f32 = before.map(|node| node.unmeasured_s).sum();

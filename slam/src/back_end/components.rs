@@ -17,16 +17,15 @@ use crate::node::Node;
 
 /// Nodes of the map that a node with an unverified edge is compared with.
 const COMPARED_NODES: usize = 8;
-/// If more than this share of the compared points is contradicted, and this many points, the edge is broken.
+/// If more than this share of the compared points is contradicted, and this many points, the edge becomes an odometry break.
 const BREAK_SHARE: f32 = 0.3;
 const BREAK_POINTS_MIN: usize = 60;
 /// A path shorter than this has not drifted by what counts as a contradiction, metres.
 const STRAIGHT_M: f64 = 20.0;
 
 impl BackEnd {
-    /// Verifies or breaks the odometry edge before a node that did not fit. When that node, or one after
-    /// it, sees what older nodes saw, a link confirms the edge; if they contradict each other, it is
-    /// broken.
+    /// Verifies the odometry edge before a node that did not fit, or replaces it by an odometry break. When that node, or one after
+    /// it, sees what older nodes saw, a link confirms the edge; if they contradict each other, it becomes a break.
     pub(super) fn check_unverified_node(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) {
         let node = &self.nodes[id as usize];
         if !node.is_tracked {
@@ -80,7 +79,8 @@ impl BackEnd {
         }
     }
 
-    /// Breaks the odometry edge before a node, and forgets the searches under way, which relied on it; false if there is none.
+    /// Turns the odometry edge before a node into an odometry break, and forgets the searches under way, which relied on it. False if there is
+    /// no such edge.
     pub(super) fn break_odometry(&mut self, id: u32) -> bool {
         let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == id;
         let Some(index) = self.graph.edges().iter().position(before) else { return false };

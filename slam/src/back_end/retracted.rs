@@ -17,13 +17,13 @@ const AGREEING_NODES: u32 = 40;
 const CONFLICTING_M: f64 = 1.0;
 /// Most conflicting closures that are compared with each other, the newest.
 const CONFLICTING_MAX: usize = 64;
-/// Conflicting closures that agree from which the path is broken where they say that it is wrong: two acceptances of two each. One pair may be a
+/// Conflicting closures that agree from which an odometry break is added where they say that the path is wrong: two acceptances of two each. One pair may be a
 /// place that looks like another.
 const BREAKING_MIN: usize = 4;
 
 impl BackEnd {
-    /// Activates closures that were removed again if new ones agree with them. If the solved graph still
-    /// contradicts them, they are removed again.
+    /// Activates retracted closures if new ones agree with them. If the solved graph still contradicts them, they are retracted
+    /// again.
     pub(super) fn restore_retracted(&mut self, new: &[ClosureCandidate]) {
         let edges = self.graph.edges();
         let restored: Vec<usize> = (0..edges.len())
@@ -41,7 +41,7 @@ impl BackEnd {
         }
     }
 
-    /// Number of closures that were removed although another one says the same, and that put nodes of the map more than a metre away
+    /// Number of closures that were retracted although another one says the same, and that put nodes of the map more than a metre away
     /// from where they are. Either they are wrong together, or the path between their ends is: a robot that was carried along a
     /// corridor sees nothing that contradicts it but these.
     pub(super) fn count_conflicting_closures(&self) -> u32 {
@@ -74,9 +74,9 @@ impl BackEnd {
         conflicting.iter().copied().filter(|index| is_confirmed(*index)).collect()
     }
 
-    /// Breaks the path where many removed closures agree that it is wrong, and activates these: the robot was carried there, and
+    /// Adds an odometry break where many retracted closures agree that the path is wrong, and activates these: the robot was carried there, and
     /// saw nothing that contradicted it. The nodes around the break stay unplaced, as the place is not known better.
-    pub(super) fn break_path_at_conflicting_closures(&mut self) {
+    pub(super) fn break_odometry_at_conflicting_closures(&mut self) {
         let conflicting = self.conflicting_closures();
         let Some(newest) = conflicting.first().copied().filter(|_| conflicting.len() >= BREAKING_MIN) else {
             return;
@@ -122,11 +122,11 @@ impl BackEnd {
     }
 }
 
-/// The place in the path that all these removed closures span, and none of those in the graph: there the motion is wrong. Each closure is the
+/// The place in the path that all these retracted closures span, and none of those in the graph: there the motion is wrong. Each closure is the
 /// first and the last node of what it spans.
-fn suspected_break_of_closures(removed: &[[u32; 2]], active: &[[u32; 2]]) -> Option<SuspectedBreak> {
-    let first = removed.iter().map(|[first, _]| *first).max()?;
-    let last = removed.iter().map(|[_, last]| *last).min()?;
+fn suspected_break_of_closures(retracted: &[[u32; 2]], active: &[[u32; 2]]) -> Option<SuspectedBreak> {
+    let first = retracted.iter().map(|[first, _]| *first).max()?;
+    let last = retracted.iter().map(|[_, last]| *last).min()?;
     let is_confirmed = |step: u32| active.iter().any(|[first, last]| (*first..*last).contains(&step));
     let before = (first..last).find(|step| !is_confirmed(*step))?;
     let after = (first..last).rfind(|step| !is_confirmed(*step))? + 1;
@@ -223,7 +223,7 @@ mod tests {
         assert!(!(42..60).any(is_placed), "what lies between has no known place");
         // Nothing is left to break.
         let edges = back.graph.edges().len();
-        back.break_path_at_conflicting_closures();
+        back.break_odometry_at_conflicting_closures();
         assert_eq!((back.counts().closures, back.graph.edges().len()), (6, edges));
     }
 

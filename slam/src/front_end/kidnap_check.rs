@@ -54,17 +54,17 @@ impl FrontEnd {
         is_near && shows_another_view(&reference.cloud, cloud, reference_from_now)
     }
 
-    /// Marks the robot as lost, and breaks the path before the next node.
+    /// Marks the robot as lost, with an odometry break before the next node.
     fn mark_kidnapped(&mut self, pose: TrackedPose) -> TrackedPose {
-        self.break_path();
+        self.add_odometry_break();
         TrackedPose { state: TrackingState::Lost, is_tracked: false, slipped: false, ..pose }
     }
 
-    /// Breaks the path before the next node, and counts it once.
-    pub(super) fn break_path(&mut self) {
+    /// Adds an odometry break before the next node, and counts it once.
+    pub(super) fn add_odometry_break(&mut self) {
         let next = self.node_builder.next_node;
-        self.counts.odometry_breaks += u64::from(self.frame.last_break != Some(next));
-        self.frame.break_at(next);
+        self.counts.odometry_breaks += u64::from(self.frame.last_odometry_break != Some(next));
+        self.frame.add_odometry_break(next);
     }
 }
 

@@ -19,8 +19,8 @@ pub(super) struct LocalFrameInMap {
     pub is_located: bool,
     /// Whether a person said where the robot is, and scans have not confirmed it yet.
     pub is_unconfirmed: bool,
-    /// The newest node whose odometry edge is broken: frame updates caused by older nodes do not locate the robot.
-    pub last_break: Option<u32>,
+    /// The newest node with an odometry break before it: frame updates caused by older nodes do not locate the robot.
+    pub last_odometry_break: Option<u32>,
     /// Whether there is evidence that the map is wrong, as last reported.
     pub is_unreliable: bool,
     /// Number of active closures, as last reported.
@@ -36,7 +36,7 @@ impl LocalFrameInMap {
             uncertainty: FrameUncertainty::default(),
             is_located: true,
             is_unconfirmed: false,
-            last_break: None,
+            last_odometry_break: None,
             is_unreliable: false,
             closures: 0,
             frame_updates: VecDeque::with_capacity(FRAME_UPDATES_MAX),
@@ -47,7 +47,7 @@ impl LocalFrameInMap {
     pub fn set(&mut self, map_from_local: Option<Pose2>) {
         self.is_located = map_from_local.is_some();
         self.is_unconfirmed = false;
-        self.last_break = None;
+        self.last_odometry_break = None;
         self.map_from_local = map_from_local.unwrap_or(self.map_from_local);
         self.uncertainty = FrameUncertainty::default();
         self.frame_updates.clear();
@@ -60,9 +60,9 @@ impl LocalFrameInMap {
         self.is_unconfirmed = true;
     }
 
-    /// Records an odometry break at a node: from there on the robot is not located in its map.
-    pub fn break_at(&mut self, node: u32) {
-        self.last_break = Some(node);
+    /// Adds an odometry break before a node: from there on the robot is not located in its map.
+    pub fn add_odometry_break(&mut self, node: u32) {
+        self.last_odometry_break = Some(node);
         self.is_located = false;
     }
 
@@ -99,7 +99,7 @@ impl LocalFrameInMap {
     fn apply(&mut self, frame_update: MapFrameUpdate) {
         self.map_from_local = frame_update.map_from_local;
         self.is_located =
-            frame_update.located && self.last_break.is_none_or(|at| frame_update.cause_node >= at);
+            frame_update.located && self.last_odometry_break.is_none_or(|at| frame_update.cause_node >= at);
         self.is_unconfirmed = frame_update.unconfirmed;
         self.apply_quality(frame_update);
     }

@@ -39,8 +39,8 @@ pub struct FrontEndState {
     /// Covariance over (x, y, yaw) of the newest reference scan's pose.
     #[serde(with = "crate::encoding::matrix")]
     pub reference_covariance: Matrix3<f64>,
-    /// The newest node after an odometry break.
-    pub last_break: Option<u32>,
+    /// The newest node with an odometry break before it.
+    pub last_odometry_break: Option<u32>,
     /// The last accepted scan.
     pub last: Option<LastScan>,
     /// Counts of scans by what became of them.
@@ -89,7 +89,7 @@ impl FrontEnd {
         front.frame.restore_frame_updates(state.frame_updates);
         front.frame.map_from_local = state.map_from_local;
         front.frame.is_located = state.located;
-        front.frame.last_break = state.last_break;
+        front.frame.last_odometry_break = state.last_odometry_break;
         front.frame.closures = state.closures;
         front.counts = state.counts;
         front.newest_with_odometry = state.last.filter(|_| state.located).and_then(|last| {
@@ -117,7 +117,7 @@ impl FrontEnd {
             slip: self.node_builder.slip,
             continuous_from_reference: self.motion.continuous_from_reference,
             reference_covariance: self.motion.reference_covariance,
-            last_break: self.frame.last_break,
+            last_odometry_break: self.frame.last_odometry_break,
             last: self.motion.last,
             counts: self.counts,
             frame_updates: self.frame.frame_updates.iter().copied().collect(),

@@ -98,7 +98,7 @@ pub const FULL: Lidar =
 pub const HALF: Lidar =
     Lidar { beams: 181, fov_rad: core::f64::consts::PI, range_max_m: 20.0, sigma_m: 0.01 };
 
-/// One turn of the LiDAR.
+/// One LiDAR scan.
 pub fn cast(
     walls: &[Wall],
     lidar: &Lidar,
@@ -122,7 +122,7 @@ pub fn cast(
     scan
 }
 
-/// One turn of a LiDAR that needs `seconds` for it, on a robot that meanwhile drives. The beams'
+/// One scan of a LiDAR that turns in `seconds`, on a robot that meanwhile drives. The beams'
 /// times are in the scan.
 pub fn cast_driving(
     walls: &[Wall],
