@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 /// Largest number of beams in a scan.
 pub const BEAMS_MAX: usize = 4096;
 
-/// One turn of a planar LiDAR in frame `base_scan`, as sensor_msgs/LaserScan defines it.
+/// One scan of a planar LiDAR in frame `base_scan`, as sensor_msgs/LaserScan defines it.
 ///
 /// Beam `i` points along `angle_min_rad + i * angle_increment_rad`, counter-clockwise from the
 /// sensor's x axis. It was measured at `header.stamp + i * time_increment_s`.

@@ -54,7 +54,7 @@ impl<J: Send + 'static, R: Send + 'static> JobThread<J, R> {
         let thread = std::thread::Builder::new().name("files".into()).spawn(move || {
             time_slice::request_default();
             for (job, report) in jobs {
-                // Who asked may have gone.
+                // The sender of the job may have gone.
                 let _ = report.send(files.run(&job));
             }
         })?;

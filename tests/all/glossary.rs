@@ -83,10 +83,9 @@ fn retired_phrases_are_gone() {
     let mut found = Vec::new();
     for (_, folder) in crates() {
         for source in product_files(&folder) {
-            for (number, line) in source.text.lines().enumerate() {
-                let lower = line.to_lowercase();
-                let hit = phrases.iter().find(|(phrase, _)| contains_words(&lower, phrase));
-                let place = || format!("{}:{}", source.path, number + 1);
+            for (number, passage) in passages(&source.text) {
+                let hit = phrases.iter().find(|(phrase, _)| contains_phrase(&passage, phrase));
+                let place = || format!("{}:{number}", source.path);
                 found.extend(hit.map(|(old, new)| format!("{}: \"{old}\" -> {new}", place())));
             }
         }
@@ -94,10 +93,66 @@ fn retired_phrases_are_gone() {
     assert!(found.is_empty(), "retired phrases: {found:#?}");
 }
 
-/// Whether a line contains a phrase that neither begins nor ends within a word.
-fn contains_words(line: &str, phrase: &str) -> bool {
-    let is_word = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');
-    line.match_indices(phrase).any(|(at, _)| {
-        !is_word(line[..at].chars().next_back()) && !is_word(line[at + phrase.len()..].chars().next())
-    })
+/// Most words that `...` stands for.
+const GAP_MAX: usize = 3;
+/// Stands between the words of two clauses.
+const CLAUSE_END: &str = ".";
+
+/// The passages of a file, each with the number of its first line: lines of one comment are joined, each other line is one.
+fn passages(text: &str) -> Vec<(usize, String)> {
+    let mut passages: Vec<(usize, String)> = Vec::new();
+    let mut is_in_comment = false;
+    for (number, line) in text.lines().enumerate() {
+        let comment = line.trim_start().strip_prefix("//").map(|text| text.trim_start_matches(['/', '!']));
+        match (comment, passages.last_mut()) {
+            (Some(comment), Some((_, passage))) if is_in_comment => *passage += comment,
+            _ => passages.push((number + 1, comment.unwrap_or(line).to_owned())),
+        }
+        is_in_comment = comment.is_some();
+    }
+    passages
+}
+
+/// Whether a text contains a phrase within one clause. `takes/took` in the phrase is one of these words, `...` is up to
+/// [`GAP_MAX`] words.
+fn contains_phrase(text: &str, phrase: &str) -> bool {
+    let mut words = Vec::new();
+    let lower = text.to_lowercase();
+    for word in lower.split_whitespace() {
+        words.push(word.trim_matches(|c: char| !(c.is_alphanumeric() || c == '_')));
+        words.extend(word.ends_with([',', '.', ';', ':']).then_some(CLAUSE_END));
+    }
+    let phrase: Vec<&str> = phrase.split_whitespace().collect();
+    (0..words.len()).any(|first| begins_with_phrase(&words[first..], &phrase))
+}
+
+fn begins_with_phrase(words: &[&str], phrase: &[&str]) -> bool {
+    match phrase {
+        [] => true,
+        ["...", rest @ ..] => {
+            let clause = words.iter().take(GAP_MAX).take_while(|word| **word != CLAUSE_END).count();
+            (0..=clause).any(|gap| begins_with_phrase(&words[gap..], rest))
+        }
+        [forms, rest @ ..] => {
+            let is_next = |word: &&str| forms.split('/').any(|form| form == *word);
+            words.first().is_some_and(is_next) && begins_with_phrase(&words[1..], rest)
+        }
+    }
+}
+
+#[test]
+fn phrases_are_found_across_lines_and_in_each_form() {
+    let text = "fn a() {}\n    /// It Takes the\n    /// closure (back).\n    back();\n";
+    let passages = passages(text);
+    assert_eq!(passages.iter().map(|(number, _)| *number).collect::<Vec<_>>(), [1, 2, 4]);
+    assert!(contains_phrase(&passages[1].1, "take/takes ... back"));
+    assert!(!contains_phrase(&passages[1].1, "take/took ... back"));
+    for other in [
+        "it takes long, so the back end",
+        "it takes them. Back",
+        "takes one or two or three back",
+        "retakes it back",
+    ] {
+        assert!(!contains_phrase(other, "takes ... back"), "{other}");
+    }
 }

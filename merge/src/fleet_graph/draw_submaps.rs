@@ -1,4 +1,4 @@
-//! Composition of submaps, each at its pose, into one grid.
+//! Draws submaps, each at its pose, into one grid.
 
 use msg::grid::{CELLS_MAX, LOG_ODDS_MAX, LOG_ODDS_MIN, SWEPT_FREE, UNKNOWN};
 use msg::{Grid, GridHeader, GridView, Pose2};
@@ -9,7 +9,7 @@ use std::sync::Arc;
 pub(crate) struct PlacedSubmap {
     /// Occupancy in the submap's frame.
     pub grid: Arc<Grid>,
-    /// Frame of the composed grid from the submap's frame.
+    /// Frame of the drawn grid from the submap's frame.
     pub frame_from_submap: Pose2,
 }
 
@@ -62,7 +62,7 @@ pub(crate) fn draw_submaps(placed: &[PlacedSubmap]) -> Option<Grid> {
     Some(Grid { header, cells: sums.iter().map(cell).collect() })
 }
 
-/// Corners of a submap's grid in the composed grid's frame.
+/// Corners of a submap's grid in the drawn grid's frame.
 fn corners(header: &GridHeader, frame_from_submap: Pose2) -> [[f64; 2]; 4] {
     let (w, h) =
         (f64::from(header.width) * header.resolution_m, f64::from(header.height) * header.resolution_m);

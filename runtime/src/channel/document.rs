@@ -98,5 +98,6 @@ fn channel_table() -> String {
     text + "\n\\* With `world = \"headset\"` or `\"ros\"` the bridge writes what the simulators write, but for the truth.\n\
             With `\"ros\"` it also passes commands on to ROS 2.\n\
             \n\\*\\* Where robots and base are on several machines: at the base the link writes what it gets from the robots' \
-            links,\nand reads commands for them. On a robot's machine it reads the former, and writes the base's velocities.\n"
+            links\nand `hold`, and reads `command`, `scan_demand` and `submap_request`. On a robot's machine it reads what it sends to the \
+            base, and\nwrites `base_velocity` and `submap_request`.\n"
 }

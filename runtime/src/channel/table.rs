@@ -75,14 +75,14 @@ const POSE_AND_MAP_READERS: &[Endpoint] = &[
 
 static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",
-    content: "wished velocity, 20 Hz while somebody drives",
+    content: "commanded velocity, 20 Hz while somebody drives",
     writers: &[Of(BRIDGE)],
     readers: &[Of(SIM), External(BRIDGE), Of(RECORD), Of(RecordTool), Of(Launcher), OtherMachines(LinkTool)],
     ..STREAM
 });
 static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
     name: "scan",
-    content: "one turn of the LiDAR, 10 Hz",
+    content: "one LiDAR scan, 10 Hz",
     writers: SIM_OR_EXTERNAL_OR_LINK,
     readers: &[Of(SLAM), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool), OtherMachines(LinkTool)],
     // The queue holds 1.6 s of scans while SLAM is restarted or descheduled.
@@ -290,7 +290,7 @@ pub fn command(robot: RobotId) -> Channel<VelocityCommand> {
     COMMAND.of_robot(robot)
 }
 
-/// `robotK/scan`: one turn of the robot's LiDAR.
+/// `robotK/scan`: one scan of the robot's LiDAR.
 pub fn scan(robot: RobotId) -> Channel<Scan> {
     SCAN.of_robot(robot)
 }
