@@ -1,4 +1,4 @@
-//! The robots' maps as the merge process holds them, kept for its next process: it goes on with them at once, also where
+//! The robots' maps as the merge process holds them, kept for its next process: it continues with them at once, also where
 //! a robot's SLAM process does not answer. Files in the run's folder, one for each robot.
 
 use crate::run::Run;

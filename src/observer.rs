@@ -29,7 +29,7 @@ pub struct Observer {
     maps: Vec<MapWatch>,
     robots: Vec<RobotWatch>,
     // The readers' presence in the run; dropped after them.
-    _node: Participant,
+    _participant: Participant,
 }
 
 /// Reader of one map channel.
@@ -50,13 +50,15 @@ struct RobotWatch {
 }
 
 impl RobotWatch {
-    fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
-        let (truths, pose_estimates) =
-            (node.reader(&channel::truth(robot))?, node.reader(&channel::pose_estimate(robot))?);
+    fn open(participant: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
+        let (truths, pose_estimates) = (
+            participant.reader(&channel::truth(robot))?,
+            participant.reader(&channel::pose_estimate(robot))?,
+        );
         Ok(Self {
             truths,
             pose_estimates,
-            commands: node.reader(&channel::command(robot))?,
+            commands: participant.reader(&channel::command(robot))?,
             command: None,
             world_from_base: None,
             map_from_odom: None,
@@ -90,23 +92,26 @@ pub(crate) fn kept_place(newest: &PoseEstimate, before: Option<Pose2>) -> Option
 impl Observer {
     /// Attaches to a run under the participant name `name`.
     pub fn attach(run: &Run, name: &str) -> Result<Self, ChannelError> {
-        let node = Participant::open(&run.domain, Opener::of_fleet(Program::Launcher), name)?;
+        let participant = Participant::open(&run.domain, Opener::of_fleet(Program::Launcher), name)?;
         let watch = |name: String, reader| MapWatch { name, reader };
         let robot_map =
-            |robot: RobotId| Ok(watch(format!("{robot}_map"), node.map_reader(&channel::map(robot))?));
+            |robot: RobotId| Ok(watch(format!("{robot}_map"), participant.map_reader(&channel::map(robot))?));
         Ok(Self {
-            stats: node.reader(&channel::stats())?,
-            stats_listener: node.listener(&channel::stats())?,
-            edges: node.reader(&channel::merge_edges())?,
+            stats: participant.reader(&channel::stats())?,
+            stats_listener: participant.listener(&channel::stats())?,
+            edges: participant.reader(&channel::merge_edges())?,
             newest_edges: Box::default(),
             newest: None,
-            map_transforms: node.reader(&channel::map_transforms())?,
+            map_transforms: participant.reader(&channel::map_transforms())?,
             newest_transforms: None,
             unreliable: UnreliableMaps::default(),
-            merged_map: watch("merged_map".into(), node.map_reader(&channel::merged_map())?),
+            merged_map: watch("merged_map".into(), participant.map_reader(&channel::merged_map())?),
             maps: run.robots().map(robot_map).collect::<Result<_, ChannelError>>()?,
-            robots: run.robots().map(|robot| RobotWatch::open(&node, robot)).collect::<Result<_, _>>()?,
-            _node: node,
+            robots: run
+                .robots()
+                .map(|robot| RobotWatch::open(&participant, robot))
+                .collect::<Result<_, _>>()?,
+            _participant: participant,
         })
     }
 

@@ -37,7 +37,7 @@ pub enum PauseReason {
     DrivenAtRobot = 3,
     /// At the base: the robot was stopped or driven by hand at its own machine, and is not any more.
     InterruptedAtRobot = 4,
-    /// At the base: velocities reach the robot too late to be obeyed.
+    /// At the base: velocities reach the robot too late for it to follow them.
     LateVelocities = 5,
 }
 

@@ -95,7 +95,7 @@ pub struct SubmapPoses {
     /// Generation of the submaps, as [`Submap::generation`].
     pub generation: u32,
     /// Number of the run on the robot's own machine; 0: the robot is of this machine's run. In another run the robot may be
-    /// anywhere, and the frame `robotK/map` is another one, unless its SLAM goes on with a saved map.
+    /// anywhere, and the frame `robotK/map` is another one, unless its SLAM continues with a saved map.
     pub run: u32,
     /// Storage of the transforms to `robotK/map` from each submap. Read it by [`SubmapPoses::poses`].
     pub robot_map_from_submap: [Pose2; SUBMAPS_MAX],

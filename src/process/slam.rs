@@ -143,12 +143,12 @@ impl<P: Ports, S: Storage> SlamProcess<P, S> {
 /// Runs the process until it is asked to stop.
 pub fn run(run: &Run, robot: RobotId, map_from_odom: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
     let scan_ports = run.attach(Role::Slam, Some(robot))?;
-    let begun = restore_or_create(run, robot, map_from_odom, &DiskStorage, &scan_ports.clock())?;
+    let initial = restore_or_create(run, robot, map_from_odom, &DiskStorage, &scan_ports.clock())?;
     let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
     let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
     let (job_sender, jobs) = sync_channel::<SlamFileJob>(files::JOBS_MAX);
     let mut files = SlamFileWorker::new(live_config(run), DiskStorage, scan_ports.clock(), events.clone());
-    let InitialSlam { front, back, restart_map_from_odom } = begun;
+    let InitialSlam { front, back, restart_map_from_odom } = initial;
     let mut front_end_loop =
         FrontEndLoop::open(&scan_ports, run, robot, (front, restart_map_from_odom), events, commands_in)?;
     std::thread::scope(|scope| {

@@ -39,7 +39,7 @@ fn malformed_lines_are_reported_with_their_number() {
     let (success, said) = replay(b"this is no log\n");
     assert!(!success, "{said}");
     let (success, said) = replay(&[0x1f, 0x8b, 8, 0, 1, 2, 3]);
-    assert!(!success, "a torn gzip: {said}");
+    assert!(!success, "an incomplete gzip: {said}");
 }
 
 /// Connects, sends `bytes`, and reads until the bridge sends `__error` or closes the connection. A bridge

@@ -69,7 +69,8 @@ fn process_table() -> String {
             row.restart_input
         );
     }
-    text
+    text + "\nWhere robots and base are on several machines, each machine has the process `link` (`mr-slam link`) in addition, which\n\
+            exchanges messages with the other machines.\n"
 }
 
 fn channel_table() -> String {
