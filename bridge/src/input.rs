@@ -57,6 +57,8 @@ pub enum InputPurpose {
     RobotTransforms(RobotId),
     /// Transforms of an external world that never change.
     StaticTransforms,
+    /// The same of one robot on its own topic: its frames may be plain.
+    RobotStaticTransforms(RobotId),
     /// A robot's scan, in an external world.
     Scan(RobotId),
     /// A robot's wheel odometry, in an external world.

@@ -4,6 +4,7 @@
 //!   LaserScan  ─▶ checked ──────────────────────────────▶ robotK/scan
 //!   Odometry   ─▶ checked ──────────────────────────────▶ robotK/odometry, robotK/transforms
 //!   TFMessage  ─▶ the fleet's frames ─▶ robotK/transforms; odom -> base ─▶ robotK/odometry
+//!   TFMessage  ─▶ where the LiDARs are mounted, which each scan carries: one upside down is mirrored ([`MountError`])
 //!   Clock      ─────────────────────────────────────────▶ clock
 //!                 every stamp: the source's clock -> the run's ([`SourceClock`])
 //! ```
@@ -13,25 +14,29 @@
 mod checks;
 mod clock;
 mod error;
+mod frame_tree;
 mod input;
+mod mount;
 mod restart;
 mod suspects;
+mod transforms;
 
 pub(crate) use checks::floor_pose;
 pub use checks::{ScanError, TransformError};
 pub use clock::{ClockEstimate, ClockOffset, SourceClock};
 pub use error::WorldError;
 pub(crate) use input::{DDS_SOURCE, WorldInput};
+pub use mount::MountError;
 pub use suspects::OutlierError;
 
 use checks::{check_scan, check_transform, empty_scan, planar_pose};
+use mount::Mounts;
 use msg::{
-    Clock, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp,
-    TRANSFORMS_MAX, Transforms,
+    Clock, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp, Transforms,
 };
 use ros_messages::cdr::Reader;
-use ros_messages::names::{FleetFrame, RobotNames};
-use ros_messages::read::{self, Transform};
+use ros_messages::names::RobotNames;
+use ros_messages::read;
 
 /// A robot keeps its source for so long after the source's last message, seconds; then another may take its place.
 const SOURCE_TIMEOUT_S: f64 = 2.0;
@@ -90,6 +95,8 @@ pub enum Incoming<'a> {
     Transforms(Reader<'a>),
     /// tf2_msgs/TFMessage of one robot, whose frames may be plain: `odom`, `base_footprint`.
     RobotTransforms(RobotId, Reader<'a>),
+    /// tf2_msgs/TFMessage with transforms that never change: of all robots, or on one's own topic.
+    StaticTransforms(Option<RobotId>, Reader<'a>),
     /// nav_msgs/Odometry of a robot, whatever its frames are called.
     Odometry(RobotId, Reader<'a>),
     /// rosgraph_msgs/Clock of the whole world.
@@ -123,14 +130,18 @@ pub struct ExternalWorld {
     clock_source: Option<(SourceId, Stamp)>,
     /// Seconds by which a clock was set back, until [`ExternalWorld::take_step`].
     step_s: Option<f64>,
+    /// Where the robots' LiDARs are.
+    mounts: Mounts,
     sink: MessageSink,
 }
 
 impl ExternalWorld {
     /// Creates a world of robots: their number, or their names. `sink` gets what is accepted; it must not call back.
     pub fn new(robots: impl Into<RobotNames>, sink: impl FnMut(WorldMessage<'_>) + 'static) -> Self {
+        let names: RobotNames = robots.into();
         Self {
-            names: robots.into(),
+            mounts: Mounts::new(names.count()),
+            names,
             robots: [RobotState::default(); ROBOTS_MAX],
             scan: empty_scan(),
             transforms: Box::new([Transforms::default(); ROBOTS_MAX]),
@@ -164,6 +175,7 @@ impl ExternalWorld {
             Incoming::RobotTransforms(robot, from) => {
                 self.receive_transforms(&mut origin, Some(robot), &from)
             }
+            Incoming::StaticTransforms(of, from) => self.receive_static_transforms(source, of, &from),
             Incoming::Odometry(robot, from) => self.receive_odometry(&mut origin, robot, from),
             Incoming::Clock(from) => self.receive_clock(&mut origin, from),
         }
@@ -176,8 +188,11 @@ impl ExternalWorld {
         mut from: Reader<'_>,
     ) -> Result<(), WorldError> {
         self.check_source(origin, robot)?;
-        read::laser_scan(&mut from, &mut self.scan)?;
+        let frame = read::laser_scan(&mut from, &mut self.scan)?;
         check_scan(&mut self.scan)?;
+        if !self.mount_scan(origin, robot, frame)? {
+            return Ok(());
+        }
         let sent = self.scan.header.stamp;
         let stamp = origin.clock.convert(sent, origin.received)?;
         if let Some(before) = self.robots[robot.index()].last_scan.filter(|before| stamp <= *before) {
@@ -194,27 +209,6 @@ impl ExternalWorld {
         Ok(())
     }
 
-    /// Takes transforms; `of`: all are this robot's.
-    fn receive_transforms(
-        &mut self,
-        origin: &mut Origin<'_>,
-        of: Option<RobotId>,
-        from: &Reader<'_>,
-    ) -> Result<(), WorldError> {
-        // The whole message must be readable before any part of it is taken.
-        read::transforms(&mut from.clone(), |_| {})?;
-        self.transforms.iter_mut().for_each(|transforms| transforms.len = 0);
-        let mut result = Ok(());
-        read::transforms(&mut from.clone(), |transform| {
-            let taken = self.receive_transform(origin, of, &transform);
-            if result.is_ok() {
-                result = taken;
-            }
-        })?;
-        self.names.robots().for_each(|robot| self.send_transforms(robot));
-        result
-    }
-
     /// Takes odometry as the transform odom -> base_footprint, for robots that do not number their frames.
     ///
     /// A robot with odom -> base in TF is located by that: `map` -> `odom` belongs to it (REP-105), and the topic may be another
@@ -227,6 +221,7 @@ impl ExternalWorld {
     ) -> Result<(), WorldError> {
         self.check_source(origin, robot)?;
         let transform = read::odometry(&mut from)?;
+        self.mounts.learn_odometry(robot, transform.frame_id, transform.child_frame_id);
         let parent_from_child = check_transform(RobotFrame::Odom, RobotFrame::BaseFootprint, &transform)?;
         let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
@@ -263,10 +258,14 @@ impl ExternalWorld {
 
     /// Forgets a source that has left, so that another may take its robots at once.
     pub fn disconnect(&mut self, source: SourceId) {
-        for robot in &mut self.robots {
-            robot.source = robot.source.filter(|(of, _)| *of != source);
+        for robot in self.names.robots() {
+            let state = &mut self.robots[robot.index()];
+            if state.source.take_if(|(of, _)| *of == source).is_some() {
+                self.mounts.await_transforms(robot);
+            }
         }
         self.clock_source = self.clock_source.filter(|(of, _)| *of != source);
+        self.mounts.trees.forget(source);
     }
 
     fn check_source(&self, origin: &Origin<'_>, robot: RobotId) -> Result<(), WorldError> {
@@ -278,79 +277,6 @@ impl ExternalWorld {
             return Err(WorldError::OtherSource { what: robot.to_string() });
         }
         Ok(())
-    }
-
-    /// Returns the robot and the two frames of a transform, `None` if it is not between the fleet's frames.
-    fn fleet_frames(
-        &self,
-        of: Option<RobotId>,
-        transform: &Transform<'_>,
-    ) -> Result<Option<(RobotId, RobotFrame, RobotFrame)>, TransformError> {
-        let robot_count = self.names.count();
-        let parse = |name| match of {
-            Some(robot) => self.names.parse_frame_of(robot, name).map(|frame| (robot, frame)),
-            None => self.names.parse_frame(name),
-        };
-        let Some((robot, FleetFrame::Robot(child))) = parse(transform.child_frame_id) else {
-            return Ok(None);
-        };
-        if robot.number() > robot_count {
-            return Err(TransformError::NoSuchRobot { robot_count });
-        }
-        match parse(transform.frame_id).filter(|(of, _)| *of == robot) {
-            Some((_, FleetFrame::Robot(parent))) => Ok(Some((robot, parent, child))),
-            _ => Err(TransformError::Parent { robot }),
-        }
-    }
-
-    /// Takes one transform, if it is between the fleet's frames.
-    fn receive_transform(
-        &mut self,
-        origin: &mut Origin<'_>,
-        of: Option<RobotId>,
-        transform: &Transform<'_>,
-    ) -> Result<(), WorldError> {
-        let (parent, child) = (transform.frame_id, transform.child_frame_id);
-        let own = of.and_then(|robot| self.names.parse_frame_of(robot, child));
-        let is_own_odom = matches!(own, Some(FleetFrame::Map | FleetFrame::Robot(RobotFrame::Odom)));
-        if is_own_odom || self.names.is_correction(parent, child) {
-            return Err(WorldError::Correction { parent: parent.into(), child: child.into() });
-        }
-        let wrong = |source| WorldError::Transform { parent: parent.into(), child: child.into(), source };
-        let Some((robot, parent_frame, child_frame)) = self.fleet_frames(of, transform).map_err(wrong)?
-        else {
-            return Ok(());
-        };
-        self.check_source(origin, robot)?;
-        let parent_from_child = check_transform(parent_frame, child_frame, transform).map_err(wrong)?;
-        let stamp = origin.clock.convert(transform.stamp, origin.received)?;
-        let state = &mut self.robots[robot.index()];
-        state.source = Some((origin.source, origin.received));
-        if parent_frame == RobotFrame::Odom
-            && matches!(child_frame, RobotFrame::BaseFootprint | RobotFrame::BaseLink)
-        {
-            state.has_footprint |= child_frame == RobotFrame::BaseFootprint;
-            if child_frame == RobotFrame::BaseFootprint || !state.has_footprint {
-                state.last_transform = Some(origin.received);
-                self.send_odometry(robot, [transform.stamp, stamp], &parent_from_child, true)
-                    .map_err(wrong)?;
-            }
-        }
-        self.add_transform(robot, stamp, parent_from_child);
-        Ok(())
-    }
-
-    /// Adds a transform to the robot's message; those of another stamp are sent first.
-    fn add_transform(&mut self, robot: RobotId, stamp: Stamp, transform: RobotFrameTransform) {
-        if self.transforms[robot.index()].len > 0 && self.transforms[robot.index()].header.stamp != stamp {
-            self.send_transforms(robot);
-        }
-        let transforms = &mut self.transforms[robot.index()];
-        transforms.header.stamp = stamp;
-        if let Some(place) = transforms.transforms.get_mut((transforms.len as usize).min(TRANSFORMS_MAX)) {
-            *place = transform;
-            transforms.len += 1;
-        }
     }
 
     /// Sends a robot's pose by its wheels, with the velocity since the pose before. The stamps are the source's and the run's.
@@ -382,19 +308,13 @@ impl ExternalWorld {
         (self.sink)(WorldMessage::Odometry(robot, &odometry));
         Ok(())
     }
-
-    fn send_transforms(&mut self, robot: RobotId) {
-        let transforms = &mut self.transforms[robot.index()];
-        if transforms.len > 0 {
-            (self.sink)(WorldMessage::Transforms(robot, transforms));
-            transforms.len = 0;
-        }
-    }
 }
 
 fn is_held_by_other(holder: Option<(SourceId, Stamp)>, origin: &Origin<'_>) -> bool {
     holder.is_some_and(|(of, at)| of != origin.source && origin.received - at < SOURCE_TIMEOUT_S)
 }
 
+#[cfg(test)]
+mod mount_tests;
 #[cfg(test)]
 mod tests;

@@ -98,7 +98,9 @@ impl DecimatedScan {
         scan.range_max_m = self.range_max_m;
         let len = self.ranges_m.len().min(BEAMS_MAX);
         scan.ranges_m[..len].copy_from_slice(&self.ranges_m[..len]);
-        (scan.len, scan.reserved) = (len as u32, 0);
+        scan.len = len as u32;
+        // The base gets the mount with the robot's transforms.
+        scan.set_mount(None);
     }
 
     fn numbers(&self) -> [f32; 6] {

@@ -1,6 +1,6 @@
 //! Scans of a planar LiDAR.
 
-use crate::{Header, ROBOTS_MAX, RobotId};
+use crate::{Header, Pose2, ROBOTS_MAX, RobotId};
 use bytemuck::{Pod, Zeroable};
 
 /// Largest number of beams in a scan.
@@ -10,6 +10,7 @@ pub const BEAMS_MAX: usize = 4096;
 ///
 /// Beam `i` points along `angle_min_rad + i * angle_increment_rad`, counter-clockwise from the
 /// sensor's x axis. It was measured at `header.stamp + i * time_increment_s`.
+/// `base_scan` is upright: a scan of a LiDAR upside down is mirrored before it becomes this message.
 /// Ranges follow REP-117: +inf is no return up to `range_max_m`, NaN is no measurement.
 ///
 /// ```
@@ -41,8 +42,10 @@ pub struct Scan {
     pub range_max_m: f32,
     /// Number of `ranges_m` in use. Read them by [`Scan::ranges_m`].
     pub len: u32,
-    /// Padding, always zero.
-    pub reserved: u32,
+    /// 1 if `base_from_scan` is known. Read it by [`Scan::mount`].
+    pub mount_known: u32,
+    /// Pose of `base_scan` in `base_footprint`. Read it by [`Scan::mount`].
+    pub base_from_scan: Pose2,
     /// Storage of the ranges, metres. Read it by [`Scan::ranges_m`].
     pub ranges_m: [f32; BEAMS_MAX],
 }
@@ -94,6 +97,23 @@ impl Scan {
     /// Returns the ranges of all beams, metres.
     pub fn ranges_m(&self) -> &[f32] {
         &self.ranges_m[..(self.len as usize).min(BEAMS_MAX)]
+    }
+
+    /// Returns the pose of `base_scan` in `base_footprint`, if the scan's source says it; otherwise the configured one counts.
+    pub fn mount(&self) -> Option<Pose2> {
+        (self.mount_known == 1).then_some(self.base_from_scan)
+    }
+
+    /// Sets the pose of `base_scan` in `base_footprint`; `None` if the configured one counts.
+    pub fn set_mount(&mut self, base_from_scan: Option<Pose2>) {
+        (self.mount_known, self.base_from_scan) =
+            base_from_scan.map_or((0, Pose2::IDENTITY), |base_from_scan| (1, base_from_scan));
+    }
+
+    /// Mirrors the scan: from how a LiDAR upside down measured it to how an upright one would have.
+    pub fn mirror(&mut self) {
+        self.angle_min_rad = -self.angle_min_rad;
+        self.angle_increment_rad = -self.angle_increment_rad;
     }
 
     /// Returns the direction of beam `i` in `base_scan`, radians.

@@ -1,9 +1,9 @@
 //! The sensor data of a fleet in its own recording, for replay: what each robot measured, and when it was sent.
 
-use crate::{RecordedMessage, planar};
+use crate::RecordedMessage;
 use msg::{Header, Odometry, Pose2, RobotId, Scan, Stamp};
 use ros_messages::cdr::Reader;
-use ros_messages::{Message as _, Odometry as RosOdometry, Pose2D, RobotNames, decode, read};
+use ros_messages::{Message as _, Odometry as RosOdometry, Pose2D, RobotNames, decode, read, spatial_pose};
 use std::collections::HashMap;
 
 /// Most bytes of ranges that are kept, bytes: ten hours of 16 robots with 360 beams.
@@ -157,7 +157,7 @@ impl FleetRecording {
                 let RosOdometry { stamp, position, orientation, twist, .. } = decode(payload).ok()?;
                 let odometry = Odometry {
                     header: Header { stamp, ..Header::default() },
-                    odom_from_base: planar::pose(position, orientation)?,
+                    odom_from_base: spatial_pose::planar_pose(position, orientation)?,
                     linear_m_s: twist.linear[0],
                     angular_rad_s: twist.angular[2],
                 };

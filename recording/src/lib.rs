@@ -26,7 +26,6 @@
 
 pub mod bag;
 pub mod fleet;
-mod planar;
 pub mod playback;
 mod pose_at;
 mod reader;

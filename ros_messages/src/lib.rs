@@ -16,6 +16,7 @@ mod odometry_covariance;
 pub mod read;
 pub mod schema;
 pub mod sensor;
+pub mod spatial_pose;
 pub mod write;
 
 pub use cdr::{DecodeError, Dialect};

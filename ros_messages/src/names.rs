@@ -171,7 +171,7 @@ impl RobotNames {
 
     fn robot_with_suffix(&self, text: &str) -> Option<RobotId> {
         let beyond = || number(text).filter(|robot| self.is_beyond(*robot));
-        self.find(|of| !of.is_empty() && suffix(of) == text).or_else(beyond)
+        self.find(|of| !of.is_empty() && has_suffix(of, text)).or_else(beyond)
     }
 
     fn find(&self, is_wanted: impl Fn(&str) -> bool) -> Option<RobotId> {
@@ -211,6 +211,14 @@ fn suffix(name: &str) -> String {
     match name.strip_prefix("robot").and_then(number) {
         Some(robot) => robot.number().to_string(),
         None => name.replace('/', "_"),
+    }
+}
+
+/// Returns whether a text is a robot's [`suffix`], without allocating.
+fn has_suffix(name: &str, text: &str) -> bool {
+    match name.strip_prefix("robot").and_then(number) {
+        Some(robot) => number(text) == Some(robot),
+        None => name.bytes().map(|byte| if byte == b'/' { b'_' } else { byte }).eq(text.bytes()),
     }
 }
 

@@ -50,7 +50,7 @@ impl Lidar {
         scan.range_min_m = config.range_min_m as f32;
         scan.range_max_m = config.range_max_m as f32;
         scan.len = config.beams as u32;
-        scan.reserved = 0;
+        scan.set_mount(None);
 
         let scan_in_base = DVec3::from(burger::BASE_LINK_M) + DVec3::from(burger::SCAN_IN_BASE_LINK_M);
         let world_from_scan = world_from_base * Pose::from_translation(scan_in_base.as_vec3());

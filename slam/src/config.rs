@@ -39,7 +39,8 @@ pub struct SlamConfig {
 #[serde(default, deny_unknown_fields)]
 pub struct LidarConfig {
     /// Pose of `base_scan` in `base_footprint`: x m, y m, yaw rad; each -10 to 10. Zero for logs,
-    /// whose poses are the LiDAR's.
+    /// whose poses are the LiDAR's. A robot that is not simulated and sends its LiDAR's transforms
+    /// is mapped by those.
     pub base_from_scan: [f64; 3],
     /// Returns beyond it are not used for matching, metres; 0.1 to 200. At 30 m the beams of a 1°
     /// LiDAR lie 0.5 m apart, too far for a surface direction.

@@ -23,19 +23,43 @@ use tokio::task::{JoinHandle, spawn_local};
 /// Period of the clock messages to clients on TCP if ROS publishes none: 50 Hz, as a simulator would.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
-/// Starts the thread; returns the task that passes its messages to the bridge.
-pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error> {
+/// Longest time in which the endpoint leaves the domain at the end. It takes 0.1 s; DDS may hang without a network.
+const LEAVE_MAX: Duration = Duration::from_secs(1);
+/// Period at which it is checked whether it has left.
+const LEAVE_POLL_PERIOD: Duration = Duration::from_millis(10);
+
+/// The running endpoint.
+pub struct Ros2Endpoint {
+    /// The task that passes its messages to the bridge.
+    pub task: JoinHandle<()>,
+    thread: std::thread::JoinHandle<()>,
+}
+
+impl Ros2Endpoint {
+    /// Waits until the endpoint, which was asked to stop, has told the others that it leaves.
+    ///
+    /// A process that ends before stays in ROS's graph until DDS's lease runs out, 50 s later.
+    pub async fn leave(self) {
+        let deadline = tokio::time::Instant::now() + LEAVE_MAX;
+        while !self.thread.is_finished() && tokio::time::Instant::now() < deadline {
+            tokio::time::sleep(LEAVE_POLL_PERIOD).await;
+        }
+    }
+}
+
+/// Starts the endpoint on a thread of its own.
+pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<Ros2Endpoint, Error> {
     let queues = Arc::new(DdsQueues::default());
     let commands = queues.clone();
     bridge.on_ros_command(move |command| commands.send_command(command));
     let task = spawn_local(pass_to_bridge(run.clone(), bridge.clone(), queues.clone()));
     let (run, stop) = (run.clone(), stop.clone());
-    std::thread::Builder::new().name("ros2".into()).spawn(move || {
+    let thread = std::thread::Builder::new().name("ros2".into()).spawn(move || {
         if let Err(why) = serve(&run, &stop, queues) {
             tracing::error!("bridge: {why}; ROS 2 is not served");
         }
     })?;
-    Ok(task)
+    Ok(Ros2Endpoint { task, thread })
 }
 
 /// Passes received messages to the bridge, and publishes the time until ROS does.

@@ -11,7 +11,7 @@ use crate::input::InputPurpose;
 use crate::relay::ReceivedMessage;
 use crate::router::{ClientId, Publication, RefusalKind, Source};
 use crate::teleop::Stick;
-use crate::world::WorldError;
+use crate::world::{Incoming, WorldError};
 use msg::{EdgeCommand, Monotonic, OperatorAction, RobotId};
 use ros_messages::cdr::{DecodeError, Reader, with_dummy_byte};
 use ros_messages::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as};
@@ -108,8 +108,8 @@ impl Core {
         let (input, payload) = (message.input(), message.payload());
         let result = match Reader::new(payload).map(|from| world_message(input, from)) {
             Err(error) => Err(error.into()),
-            Ok(_) if input == InputPurpose::StaticTransforms => {
-                self.fleet.receive_static_transforms(&mut self.router, payload).map_err(InputError::from)
+            Ok(Some(fixed)) if input == InputPurpose::StaticTransforms => {
+                self.receive_static_transforms(ClientId::DDS, payload, fixed, now)
             }
             Ok(Some(message)) => self.receive_dds_world(message, now),
             Ok(None) => {
@@ -182,11 +182,13 @@ impl Core {
                 self.receive_transforms(id, publication.topic, self.reader(payload)?, now)
             }
             InputPurpose::StaticTransforms => {
-                Ok(self.fleet.receive_static_transforms(&mut self.router, payload)?)
+                let fixed = Incoming::StaticTransforms(None, self.reader(payload)?);
+                self.receive_static_transforms(id, payload, fixed, now)
             }
             InputPurpose::Scan(_)
             | InputPurpose::Odometry(_)
             | InputPurpose::RobotTransforms(_)
+            | InputPurpose::RobotStaticTransforms(_)
             | InputPurpose::Clock => {
                 let message = world_message(input, self.reader(payload)?);
                 message.map_or(Ok(()), |message| self.receive_world(id, message, now))

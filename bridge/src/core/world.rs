@@ -5,7 +5,7 @@ use super::input::InputError;
 use crate::fleet_topics::FleetTopic;
 use crate::input::InputPurpose;
 use crate::router::{ClientId, TopicId};
-use crate::world::{DDS_SOURCE, Incoming, SourceId};
+use crate::world::{DDS_SOURCE, Incoming, SourceId, WorldInput};
 use msg::Monotonic;
 use ros_messages::cdr::Reader;
 use ros_messages::names::RobotNames;
@@ -43,7 +43,22 @@ impl Core {
         if let Some(step_s) = world.take_clock_step(source_of(id)) {
             self.report_clock_step(id, step_s);
         }
+        while let Some(notice) = self.world.as_mut().and_then(WorldInput::take_notice) {
+            self.report(notice);
+        }
         Ok(result?)
+    }
+
+    /// Takes transforms that never change: the external world reads where LiDARs are mounted, and clients get all of them.
+    pub(super) fn receive_static_transforms(
+        &mut self,
+        id: ClientId,
+        payload: &[u8],
+        message: Incoming<'_>,
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        self.receive_world(id, message, now)?;
+        Ok(self.fleet.receive_static_transforms(&mut self.router, payload)?)
     }
 
     /// Forwards a source's own transforms to clients; those between the fleet's frames belong to SLAM and the robots.
@@ -100,6 +115,8 @@ pub(super) fn world_message(input: InputPurpose, from: Reader<'_>) -> Option<Inc
         InputPurpose::Transforms => Incoming::Transforms(from),
         InputPurpose::Odometry(robot) => Incoming::Odometry(robot, from),
         InputPurpose::RobotTransforms(robot) => Incoming::RobotTransforms(robot, from),
+        InputPurpose::StaticTransforms => Incoming::StaticTransforms(None, from),
+        InputPurpose::RobotStaticTransforms(robot) => Incoming::StaticTransforms(Some(robot), from),
         InputPurpose::Clock => Incoming::Clock(from),
         _ => return None,
     })

@@ -46,7 +46,7 @@ impl InputTopic {
 
     /// Returns whether messages sent before the endpoint started are wanted too (transient local).
     pub fn is_latched(&self) -> bool {
-        self.input == InputPurpose::StaticTransforms
+        matches!(self.input, InputPurpose::StaticTransforms | InputPurpose::RobotStaticTransforms(_))
     }
 }
 
@@ -136,6 +136,10 @@ fn world_topics(robots: &RobotNames) -> Vec<InputTopic> {
             all.push(InputTopic::new::<TfMessage>(
                 robots.topic(robot, "tf"),
                 InputPurpose::RobotTransforms(robot),
+            ));
+            all.push(InputTopic::new::<TfMessage>(
+                robots.topic(robot, "tf_static"),
+                InputPurpose::RobotStaticTransforms(robot),
             ));
         }
     }

@@ -106,7 +106,8 @@ pub fn empty_scan() -> Box<Scan> {
         range_min_m: 0.0,
         range_max_m: 0.0,
         len: 0,
-        reserved: 0,
+        mount_known: 0,
+        base_from_scan: Pose2::IDENTITY,
         ranges_m: [0.0; BEAMS_MAX],
     })
 }

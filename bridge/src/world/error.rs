@@ -1,6 +1,6 @@
 //! Why a message of an external world is refused.
 
-use super::{OutlierError, SOURCE_TIMEOUT_S, ScanError, TransformError};
+use super::{MountError, OutlierError, SOURCE_TIMEOUT_S, ScanError, TransformError};
 use ros_messages::cdr::DecodeError;
 use thiserror::Error;
 
@@ -25,6 +25,16 @@ pub enum WorldError {
         child: String,
         /// What is wrong with it.
         source: TransformError,
+    },
+    /// The robot's transforms put its LiDAR where it cannot map.
+    #[error("{robot}: a scan is refused: the transform of its LiDAR `{frame}` {source}")]
+    Mount {
+        /// The robot.
+        robot: msg::RobotId,
+        /// The frame of the scan.
+        frame: String,
+        /// What is wrong with the mount.
+        source: MountError,
     },
     /// The message's time agrees with no other message of its source.
     #[error(transparent)]

@@ -47,6 +47,11 @@ impl WorldInput {
         step_s.or_else(|| self.world.take_step())
     }
 
+    /// Takes the next notice for the operator's log.
+    pub fn take_notice(&mut self) -> Option<String> {
+        self.world.take_notice()
+    }
+
     /// Forgets a source that has left, so that another may take its robots at once.
     pub fn disconnect(&mut self, source: SourceId) {
         self.world.disconnect(source);

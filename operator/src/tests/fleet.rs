@@ -122,7 +122,8 @@ fn scan(header: msg::Header, ranges_m: &[f32]) -> Scan {
         range_min_m: RANGE_MIN_M as f32,
         range_max_m: RANGE_MAX_M as f32,
         len: ranges_m.len() as u32,
-        reserved: 0,
+        mount_known: 0,
+        base_from_scan: msg::Pose2::IDENTITY,
         ranges_m: [f32::NAN; msg::BEAMS_MAX],
     };
     scan.ranges_m[..ranges_m.len()].copy_from_slice(ranges_m);

@@ -1,8 +1,8 @@
 //! Reasons why a bag cannot be used, and what to do about each.
 
 use crate::ReadError;
-use crate::planar::TILT_MAX_DEG;
 use msg::BEAMS_MAX;
+use ros_messages::spatial_pose::TILT_MAX_DEG;
 
 /// Reason why a bag cannot be used.
 #[derive(Debug, thiserror::Error)]

@@ -3,10 +3,10 @@
 use super::epochs::Timed;
 use super::{BagScan, frame};
 use crate::RecordedMessage;
-use crate::planar::{self, SpatialPose};
 use msg::{BEAMS_MAX, Pose2, Scan};
 use ros_messages::cdr::{DecodeError, Reader};
 use ros_messages::read::Transform;
+use ros_messages::spatial_pose::{self, SpatialPose};
 use ros_messages::{LaserScan, Message, Odometry, TfMessage, read};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -91,7 +91,7 @@ impl Found {
             Odometry::TYPE if self.pose_count < POSES_MAX => {
                 let mut from = Reader::new(&message.payload).ok()?;
                 let odometry = read::odometry(&mut from).ok()?;
-                let value = planar::pose(odometry.translation, odometry.rotation)?;
+                let value = spatial_pose::planar_pose(odometry.translation, odometry.rotation)?;
                 let poses = self.odometry.entry(message.topic.to_string()).or_default();
                 if poses.base_frame != odometry.child_frame_id {
                     poses.base_frame = odometry.child_frame_id.to_owned();

@@ -2,8 +2,8 @@
 
 use super::found::{Edge, Edges, FRAMES_MAX, Poses};
 use super::{BagError, BagOptions, BagScan, frame};
-use crate::planar::{ScannerMount, SpatialPose};
 use msg::Pose2;
+use ros_messages::spatial_pose::{ScannerMount, SpatialPose};
 
 /// Returns the transform from the odometry's frame that leads to the scanner, else the only one.
 pub fn odometry_transform(transforms: &Edges, scan_frame: &str, options: &BagOptions) -> Option<Poses> {
@@ -38,9 +38,8 @@ pub fn mount(
     base_frame: Option<&str>,
     options: &BagOptions,
 ) -> Result<ScannerMount, BagError> {
-    let upright = |base_from_scan| ScannerMount { base_from_scan, is_upside_down: false };
     if let Some(base_from_scan) = options.base_from_scan {
-        return Ok(upright(base_from_scan));
+        return Ok(ScannerMount::upright(base_from_scan));
     }
     let (mut at, mut pose, mut moving) = (scan_frame, SpatialPose::IDENTITY, None);
     for _ in 0..FRAMES_MAX {
@@ -58,10 +57,12 @@ pub fn mount(
         (pose, at) = (edge.first.compose(&pose), parent);
     }
     if let Some(base_frame) = base_frame.filter(|base_frame| at != *base_frame) {
-        return options.recorded_base_from_scan.map(upright).ok_or_else(|| BagError::NoScanner {
-            scan_topic: scan_topic.to_owned(),
-            scan_frame: scan_frame.to_owned(),
-            base_frame: base_frame.to_owned(),
+        return options.recorded_base_from_scan.map(ScannerMount::upright).ok_or_else(|| {
+            BagError::NoScanner {
+                scan_topic: scan_topic.to_owned(),
+                scan_frame: scan_frame.to_owned(),
+                base_frame: base_frame.to_owned(),
+            }
         });
     }
     if let Some((parent, child)) = moving.filter(|_| base_frame.is_some()) {

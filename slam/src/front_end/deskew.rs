@@ -26,7 +26,7 @@ impl FrontEnd {
         continuous_from_base: Option<Pose2>,
     ) -> (BeamPoses, Arc<Cloud>, TrackedPose) {
         self.stages.stage_started(Stage::Cloud);
-        let base_from_scan = self.config.base_from_scan();
+        let base_from_scan = scan.mount().unwrap_or(self.config.base_from_scan());
         let fixed = BeamPoses::still(base_from_scan);
         let seconds = BeamPoses::sweep_duration_s(scan);
         let from_odometry = match seconds {
@@ -60,7 +60,7 @@ impl FrontEnd {
         prediction: &PosePrediction,
         (scan_s, interval_s): (f64, f64),
     ) -> (BeamPoses, Arc<Cloud>, TrackedPose) {
-        let base_from_scan = self.config.base_from_scan();
+        let base_from_scan = scan.mount().unwrap_or(self.config.base_from_scan());
         let before = self.motion.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
         let known = self.motion.last.and_then(|last| last.motion);
         let mut motion = known.map_or(Pose2::IDENTITY, |(motion, s)| continue_motion(motion, s, interval_s));

@@ -42,9 +42,8 @@ async fn serve(
     let BridgeProcess { bridge, feeds, periodic_tasks } =
         BridgeProcess::open(participant, run, DiskStorage, FileThread::start)?;
     let mut tasks = start_feeds(feeds)?;
-    if run.config.bridge.dds.enabled {
-        tasks.push(ros2::open(run, stop, &bridge)?);
-    }
+    let is_in_ros = run.config.bridge.dds.enabled;
+    let endpoint = is_in_ros.then(|| ros2::open(run, stop, &bridge)).transpose()?;
     if run.config.bridge.page.enabled {
         let room = offered_room::file(run);
         let (config, save_tlx) = (run.config.bridge.page.clone(), nasa_tlx::saver(run));
@@ -56,6 +55,10 @@ async fn serve(
     tasks.push(spawn_local(run_periodic_tasks(periodic_tasks)));
     let progress = run.progress(Role::Bridge, None, WatchedThread::Main);
     serve_clients(bridge, inherited_listener()?, now, stop_requested(stop.clone(), progress)).await;
+    if let Some(endpoint) = endpoint {
+        endpoint.task.abort();
+        endpoint.leave().await;
+    }
     tasks.iter().for_each(JoinHandle::abort);
     Ok(())
 }

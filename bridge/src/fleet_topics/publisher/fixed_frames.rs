@@ -5,7 +5,8 @@ use crate::fleet_topics::table::FleetTopic;
 use msg::{RobotFrame, RobotId, Transforms};
 use ros_messages::cdr::{DecodeError, Reader};
 use ros_messages::names::FleetFrame;
-use ros_messages::read;
+use ros_messages::read::{self, Transform};
+use ros_messages::spatial_pose::SpatialPose;
 use ros_messages::{Message as _, TransformStamped};
 
 impl FleetPublisher {
@@ -72,16 +73,27 @@ impl FleetPublisher {
         read::transforms(&mut Reader::new(payload)?, |transform| {
             let (parent, child) = (transform.frame_id, transform.child_frame_id);
             if !self.robots.is_correction(parent, child) {
+                let (translation, rotation) = self.published_pose(&transform);
                 transforms.push(TransformStamped {
                     stamp: transform.stamp,
                     frame_id: self.published_name(parent),
                     child_frame_id: self.published_name(child),
-                    translation: transform.translation,
-                    rotation: transform.rotation,
+                    translation,
+                    rotation,
                 });
             }
         })?;
         Ok(transforms)
+    }
+
+    /// Returns the pose that is published: a robot's `base_scan` is upright, as its published scans are.
+    fn published_pose(&self, transform: &Transform<'_>) -> ([f64; 3], [f64; 4]) {
+        let is_scan = matches!(
+            self.robots.parse_frame(transform.child_frame_id),
+            Some((_, FleetFrame::Robot(RobotFrame::BaseScan)))
+        );
+        let pose = SpatialPose::checked(transform.translation, transform.rotation).filter(|_| is_scan);
+        pose.map_or((transform.translation, transform.rotation), |pose| pose.upright().parts())
     }
 
     /// Returns the name under which the fleet publishes a frame; another's name without its leading slash.

@@ -1,4 +1,4 @@
-//! Poses in the plane from ROS's poses in space, which are checked: nothing in a file is trusted.
+//! Poses in space as ROS sends them, checked, and what they are in the plane: a robot's pose, a scanner's mount.
 
 use msg::Pose2;
 use msg::pose::yaw_of_quaternion;
@@ -25,6 +25,15 @@ pub struct ScannerMount {
     pub base_from_scan: Pose2,
     /// The scanner hangs upside down: its beams turn the other way.
     pub is_upside_down: bool,
+    /// Angle between the scanner's plane and the base's, degrees: at most [`TILT_MAX_DEG`].
+    pub tilt_deg: f64,
+}
+
+impl ScannerMount {
+    /// Returns the mount of an upright, level scanner.
+    pub fn upright(base_from_scan: Pose2) -> Self {
+        Self { base_from_scan, is_upside_down: false, tilt_deg: 0.0 }
+    }
 }
 
 impl SpatialPose {
@@ -73,7 +82,28 @@ impl SpatialPose {
             return Err(tilt_deg);
         }
         // The yaw is the direction of the scanner's x axis, whichever way up it is.
-        Ok(ScannerMount { base_from_scan: self.planar(), is_upside_down })
+        let tilt_deg = if is_upside_down { 180.0 - tilt_deg } else { tilt_deg };
+        Ok(ScannerMount { base_from_scan: self.planar(), is_upside_down, tilt_deg })
+    }
+
+    /// Returns the frame turned by half a turn about its own x axis: what lay at the angle a in its plane lies at -a.
+    ///
+    /// The scans of a scanner upside down, mirrored, are upright in this frame.
+    pub fn turned_over(&self) -> Self {
+        let [x, y, z, w] = self.rotation;
+        Self { rotation: [w, z, -y, -x], ..*self }
+    }
+
+    /// Returns the frame with its z axis up: as it is, or turned over.
+    pub fn upright(&self) -> Self {
+        let [x, y, ..] = self.rotation;
+        let is_down = 1.0 - 2.0 * (x * x + y * y) < 0.0;
+        if is_down { self.turned_over() } else { *self }
+    }
+
+    /// Returns the position in metres and the unit quaternion x, y, z, w.
+    pub fn parts(&self) -> ([f64; 3], [f64; 4]) {
+        (self.position_m, self.rotation)
     }
 
     /// Rotates a vector from this frame into the parent's axes.
@@ -90,7 +120,7 @@ impl SpatialPose {
 }
 
 /// Returns the pose in the plane of a position in metres and a quaternion x, y, z, w; `None` if they are no pose.
-pub fn pose(position: [f64; 3], rotation: [f64; 4]) -> Option<Pose2> {
+pub fn planar_pose(position: [f64; 3], rotation: [f64; 4]) -> Option<Pose2> {
     SpatialPose::checked(position, rotation).map(|pose| pose.planar())
 }
 
@@ -114,6 +144,22 @@ mod tests {
             [(found.x_m, expected.x_m), (found.y_m, expected.y_m), (found.yaw_rad, expected.yaw_rad)]
         {
             assert!((found - expected).abs() < 1e-12, "{found} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn a_frame_turned_over_mirrors_the_points_of_its_plane() {
+        for axis in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8], [0.0, 0.6, -0.8]] {
+            for degrees in [0.0, 30.0, 175.0, 180.0] {
+                let frame = about(axis, degrees);
+                for angle in [0.0_f64, 0.4, 2.0, -1.1] {
+                    let point = |sign: f64| [angle.cos(), sign * angle.sin(), 0.0];
+                    let (found, expected) =
+                        (frame.turned_over().rotate(point(-1.0)), frame.rotate(point(1.0)));
+                    let apart = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                    assert!(apart < 1e-12, "{found:?} instead of {expected:?}");
+                }
+            }
         }
     }
 
