@@ -10,8 +10,10 @@ use msg::{
     GridHeader, GridView, Header, Pose2, RobotId, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse,
     Stamp, VelocityCommand,
 };
-use ros2_client::dds::rustdds::DomainParticipantBuilder;
+use ros2_client::builtin_topics::ros_discovery;
+use ros2_client::dds::rustdds::{self, DomainParticipantBuilder, QosPolicyBuilder, TopicKind, policy};
 use ros2_client::dds::{Context, Node, Subscription};
+use ros2_client::entities_info::ParticipantEntitiesInfo;
 use ros2_client::qos::{Durability, QosProfile};
 use ros2_client::{Message, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName};
 use serde::{Deserialize, Serialize};
@@ -322,5 +324,33 @@ fn an_external_robot_that_begins_to_listen_is_sent_a_zero() {
         let mut velocities = std::pin::pin!(robot.async_stream());
         let (velocity, _) = velocities.next().await.unwrap().unwrap();
         assert_eq!(velocity.0, [0.0; 6], "although nobody drives, and zeros of the start found no reader");
+    });
+}
+
+#[test]
+fn an_endpoint_that_leaves_is_gone_from_the_graph_before_its_lease_ends() {
+    run(async {
+        let config = config(41);
+        let observer = DomainParticipantBuilder::new(config.dds.domain())
+            .with_only_networks([Ipv4Addr::LOCALHOST])
+            .build()
+            .unwrap();
+        let qos = QosPolicyBuilder::new()
+            .reliable(rustdds::Duration::ZERO)
+            .durability(policy::Durability::TransientLocal)
+            .history(policy::History::KeepLast { depth: 8 })
+            .build();
+        let (name, class) = (ros_discovery::TOPIC_NAME.into(), ros_discovery::TYPE_NAME.into());
+        let topic = observer.create_topic(name, class, &qos, TopicKind::NoKey).unwrap();
+        let subscriber = observer.create_subscriber(&qos).unwrap();
+        let reader =
+            subscriber.create_datareader_no_key_cdr::<ParticipantEntitiesInfo>(&topic, None).unwrap();
+        let mut announcements = std::pin::pin!(reader.async_bare_sample_stream());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
+        let served = spawn_local(endpoint.clone().serve());
+        while announcements.next().await.unwrap().unwrap().nodes().is_empty() {}
+        served.abort();
+        let is_gone = async { while !announcements.next().await.unwrap().unwrap().nodes().is_empty() {} };
+        tokio::join!(endpoint.leave(), is_gone);
     });
 }

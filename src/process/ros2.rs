@@ -23,8 +23,8 @@ use tokio::task::{JoinHandle, spawn_local};
 /// Period of the clock messages to clients on TCP if ROS publishes none: 50 Hz, as a simulator would.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
-/// Longest time in which the endpoint leaves the domain at the end. It takes 0.1 s; DDS may hang without a network.
-const LEAVE_MAX: Duration = Duration::from_secs(1);
+/// Longest time in which the endpoint leaves the domain at the end. It takes 0.3 s, or 0.8 s where a participant is silent.
+const LEAVE_MAX: Duration = Duration::from_millis(1500);
 /// Period at which it is checked whether it has left.
 const LEAVE_POLL_PERIOD: Duration = Duration::from_millis(10);
 
@@ -105,8 +105,9 @@ async fn serve_feeds(run: &Run, stop: &Stop, queues: Arc<DdsQueues>) -> Result<(
         feeds.push(forward(&participant, &endpoint, &channel::command(robot), publish)?);
     }
     let mut tasks = start_feeds(feeds)?;
-    tasks.push(spawn_local(endpoint.serve()));
+    tasks.push(spawn_local(endpoint.clone().serve()));
     stop_requested(stop.clone(), run.progress(Role::Bridge, None, WatchedThread::Second)).await;
     tasks.iter().for_each(JoinHandle::abort);
+    endpoint.leave().await;
     Ok(())
 }

@@ -28,6 +28,9 @@ use tokio::time::{MissedTickBehavior, interval};
 /// How often what could not be written is tried again.
 const TICK: Duration = Duration::from_millis(100);
 
+/// Time in which the disposals of all readers and writers are sent: some hundred datagrams.
+const DISPOSAL: Duration = Duration::from_millis(100);
+
 /// What the endpoint has counted since its start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DdsCounters {
@@ -58,7 +61,7 @@ struct EndpointState {
     relay: TopicRelay,
     publisher: FleetPublisher,
     services: ServiceRelay,
-    graph: NodeGraphAnnouncer,
+    graph: Rc<NodeGraphAnnouncer>,
     input_guids: Vec<GUID>,
     /// The writer of another participant that sent the last velocity.
     last_driver: Option<GUID>,
@@ -100,7 +103,7 @@ impl DdsEndpoint {
             relay: TopicRelay::new(&participant, factory, queues.clone()),
             publisher,
             services: ServiceRelay::new(participant.guid(), queues.clone()),
-            graph,
+            graph: Rc::new(graph),
             input_guids: inputs.iter().map(|(_, reader)| reader.guid()).collect(),
             last_driver: None,
             queues: queues.clone(),
@@ -182,6 +185,20 @@ impl DdsEndpoint {
                 }
             });
         }
+    }
+
+    /// Leaves ROS's graph: tells the other participants that the node, its readers and its writers are gone.
+    ///
+    /// Call it when nobody serves the endpoint any more. It takes [`DISPOSAL`], and half a second more where a participant
+    /// does not answer.
+    pub async fn leave(self: Rc<Self>) {
+        let graph = self.state.borrow().graph.clone();
+        graph.leave().await;
+        let participant = self.participant.clone();
+        drop((graph, self));
+        // DDS sends the disposals of readers and writers on a thread of the participant, which ends with it.
+        tokio::time::sleep(DISPOSAL).await;
+        drop(participant);
     }
 
     /// Publishes a velocity to a robot of an external world.

@@ -9,15 +9,20 @@ use ros2_client::dds::rustdds::{
 };
 use ros2_client::entities_info::{NodeEntitiesInfo, ParticipantEntitiesInfo};
 use ros2_client::{Gid, NodeName};
+use std::cell::Cell;
 
 /// Announcements kept for participants that have not taken them yet.
 const ANNOUNCEMENTS_MAX: i32 = 8;
+
+/// Longest time that others have to acknowledge that the node is gone. On a network they take milliseconds.
+const FAREWELL_MAX: std::time::Duration = std::time::Duration::from_millis(500);
 
 /// The source of what `ros2 node list` and `ros2 topic info` show.
 pub struct NodeGraphAnnouncer {
     participant: GUID,
     node: NodeName,
     writer: DataWriterCdr<ParticipantEntitiesInfo>,
+    has_left: Cell<bool>,
 }
 
 impl NodeGraphAnnouncer {
@@ -37,11 +42,14 @@ impl NodeGraphAnnouncer {
         let (name, class) = (ros_discovery::TOPIC_NAME.into(), ros_discovery::TYPE_NAME.into());
         let topic = participant.create_topic(name, class, &qos, TopicKind::NoKey)?;
         let writer = publisher.create_datawriter_no_key_cdr(&topic, None)?;
-        Ok(Self { participant: participant.guid(), node, writer })
+        Ok(Self { participant: participant.guid(), node, writer, has_left: Cell::new(false) })
     }
 
-    /// Announces the readers and writers that exist now.
+    /// Announces the readers and writers that exist now; nothing once the node has left.
     pub fn publish(&self, readers: impl Iterator<Item = GUID>, writers: impl Iterator<Item = GUID>) {
+        if self.has_left.get() {
+            return;
+        }
         let mut info = NodeEntitiesInfo::new(self.node.clone());
         readers.for_each(|guid| info.add_reader(Gid::from(guid)));
         writers.for_each(|guid| info.add_writer(Gid::from(guid)));
@@ -49,5 +57,16 @@ impl NodeGraphAnnouncer {
         let message = ParticipantEntitiesInfo::new(Gid::from(self.participant), vec![info]);
         // The write fails only while a participant does not acknowledge; the next change announces everything again.
         let _ = self.writer.write(message, None);
+    }
+
+    /// Announces that the node is gone, and waits until all participants know it, or for a bounded time.
+    ///
+    /// A participant's own farewell may be lost. Then others keep its nodes until its lease ends, 50 s later.
+    pub async fn leave(&self) {
+        self.has_left.set(true);
+        let _ =
+            self.writer.write(ParticipantEntitiesInfo::new(Gid::from(self.participant), Vec::new()), None);
+        // A participant that has crashed does not acknowledge.
+        let _ = tokio::time::timeout(FAREWELL_MAX, self.writer.async_wait_for_acknowledgments()).await;
     }
 }

@@ -68,6 +68,11 @@ impl Player {
         &mut self.fleet
     }
 
+    /// Takes the endpoint of ROS 2, which is to leave the graph.
+    pub fn take_ros2_endpoint(&mut self) -> Option<Rc<DdsEndpoint>> {
+        self.transports.dds.take()
+    }
+
     /// Plays what is due, for a short time. Returns whether more is due already.
     pub fn turn(&mut self) -> bool {
         let begun = Instant::now();

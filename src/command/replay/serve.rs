@@ -107,6 +107,9 @@ pub fn run(
         let clients = spawn_local(bridge::serve(bridge.clone(), listener, now, std::future::pending()));
         play(&mut player, services, &bridge, stop).await;
         clients.abort();
+        if let Some(endpoint) = player.take_ros2_endpoint() {
+            endpoint.leave().await;
+        }
         Ok(player)
     })
 }
