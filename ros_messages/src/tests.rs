@@ -241,7 +241,13 @@ fn all_transforms_have_their_frame_names() {
     let map_from_odom = Pose2::new(1.0, 2.0, 0.6);
     out.clear();
     let slash = FrameNames::new(NameStyle::Slash, &3.into());
-    write::map_from_odom(&mut Writer::new(&mut out), &slash, robot(3), header(9).stamp, map_from_odom);
+    write::map_from_odom(
+        &mut Writer::new(&mut out),
+        &slash,
+        robot(3),
+        header(9).stamp,
+        (None, map_from_odom),
+    );
     let tree: TfMessage = decode(&out).unwrap();
     assert_eq!(tree.transforms[0].frame_id, "robot3/map");
     assert_eq!(tree.transforms[0].child_frame_id, "robot3/odom");

@@ -125,15 +125,20 @@ pub fn some_transforms(
 }
 
 /// Writes tf2_msgs/TFMessage with the transform that SLAM owns: the robot's map from its odometry (REP-105).
+///
+/// Before it stands the merged map from the robot's map, where it is known: both at one stamp, so that the chain is found there.
 pub fn map_from_odom(
     to: &mut Writer<'_>,
     names: &FrameNames,
     robot: RobotId,
     stamp: Stamp,
-    map_from_odom: Pose2,
+    (map_from_robot_map, map_from_odom): (Option<Pose2>, Pose2),
 ) {
-    to.count(1);
     let (map, odom) = (names.map(robot), names.robot_frame(robot, RobotFrame::Odom));
+    to.count(1 + usize::from(map_from_robot_map.is_some()));
+    if let Some(map_from_robot_map) = map_from_robot_map {
+        planar_transform(to, stamp, MAP, map, map_from_robot_map);
+    }
     planar_transform(to, stamp, map, odom, map_from_odom);
 }
 

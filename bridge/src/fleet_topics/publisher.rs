@@ -337,7 +337,8 @@ impl FleetPublisher {
             return;
         };
         let stamp = pose_estimate.header.stamp;
-        let encode = |to: &mut Writer<'_>| write::map_from_odom(to, names, robot, stamp, map_from_odom);
+        let poses = (self.map_from_robot_map(robot), map_from_odom);
+        let encode = |to: &mut Writer<'_>| write::map_from_odom(to, names, robot, stamp, poses);
         sink.send(FleetTopic::Transforms, None, encode);
     }
 

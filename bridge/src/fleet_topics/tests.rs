@@ -107,13 +107,18 @@ fn the_whole_chain_is_repeated_and_dated_ahead() {
 fn external_robots_get_map_to_odom_in_their_own_tree() {
     let answer = pose_estimate(TrackingState::Tracking);
     // The transforms of both robots at the answer, after these messages of theirs.
-    let chains = |messages: &[(InputPurpose, Vec<u8>)]| {
+    let chains_of = |known: usize, messages: &[(InputPurpose, Vec<u8>)]| {
         let (mut publisher, mut sent) = (publisher(RobotTransformPolicy::ByRobots), Sent::default());
+        let mut transforms = MapTransforms::default();
+        transforms.robots[..known].fill(MapTransform { known: 1, ..MapTransform::default() });
+        publisher.publish(FleetMessage::MapTransforms(&transforms), &mut sent);
+        sent.take_transforms();
         messages.iter().for_each(|(input, payload)| publisher.learn_frames(*input, payload));
         [1, 2].iter().for_each(|number| publisher.receive_pose_estimate(robot(*number), &answer, ms(0)));
         publisher.repeat_transforms(ms(0), &mut sent);
         sent.take_transforms()
     };
+    let chains = |messages: &[(InputPurpose, Vec<u8>)]| chains_of(0, messages);
     assert!(chains(&[]).is_empty(), "no robot has named its frames: nothing is invented");
     let odometry = payload(&Odometry { frame_id: "odom".into(), ..Odometry::default() });
     let first = (InputPurpose::Odometry(robot(1)), odometry);
@@ -126,7 +131,33 @@ fn external_robots_get_map_to_odom_in_their_own_tree() {
     let second =
         (InputPurpose::RobotTransforms(robot(2)), payload(&TfMessage { transforms: vec![transform] }));
     let expected = ["/robot1/tf: 5200 map_1 -> odom", "/robot2/tf: 5200 map_2 -> odom"];
-    assert_eq!(chains(&[first, second]), expected, "both call it odom");
+    let both = [first, second];
+    assert_eq!(chains(&both), expected, "both call it odom");
+    // Of two robots one is in the merged map: its map's frame is as new on /tf, and nothing is said of the other's.
+    let expected = [
+        "/tf: 5200 map -> map_1",
+        "/robot1/tf: 5200 map -> map_1",
+        "/robot1/tf: 5200 map_1 -> odom",
+        "/robot2/tf: 5200 map_2 -> odom",
+    ];
+    assert_eq!(chains_of(1, &both), expected);
+}
+
+#[test]
+fn without_repetition_the_whole_chain_has_the_scans_stamp_and_unknown_maps_are_left_out() {
+    let (mut publisher, mut sent) =
+        (FleetPublisher::new(NameStyle::Flat, &2.into(), RobotTransformPolicy::OnTf), Sent::default());
+    let answer = pose_estimate(TrackingState::Tracking);
+    let mut chain = |publisher: &mut FleetPublisher, number| {
+        publisher.publish(FleetMessage::PoseEstimate(robot(number), &answer), &mut sent);
+        sent.take_transforms()
+    };
+    assert_eq!(chain(&mut publisher, 1), ["/tf: 5000 map_1 -> odom_1"], "no map is merged yet");
+    let mut transforms = MapTransforms::default();
+    transforms.robots[0] = MapTransform { known: 1, ..MapTransform::default() };
+    publisher.publish(FleetMessage::MapTransforms(&transforms), &mut Sent::default());
+    assert_eq!(chain(&mut publisher, 1), ["/tf: 5000 map -> map_1", "/tf: 5000 map_1 -> odom_1"]);
+    assert_eq!(chain(&mut publisher, 2), ["/tf: 5000 map_2 -> odom_2"]);
 }
 
 #[test]
