@@ -49,7 +49,9 @@ pub enum PlanError {
     #[error("no free space for the robot within 0.4 m of its pose")]
     StartBlocked,
     /// The goal is outside the part of the map that plans cover.
-    #[error("the goal lies outside the map, or farther away than the planner's window of 25 m")]
+    #[error(
+        "the goal lies outside the map, or farther away than the planner's window of 25 m: go there in steps"
+    )]
     GoalOutsideMap,
     /// The robot fits nowhere on a route to the goal, or not at the goal itself.
     #[error("the goal cannot be reached: it is unknown, occupied, too narrow for the robot, or cut off")]

@@ -61,7 +61,9 @@ pub enum NavigationFailure {
     #[error("the goal is in the merged map, and the robot's map is not merged yet")]
     NotMerged,
     /// Robot and goal do not fit into one window of the planner.
-    #[error("the goal lies outside the map, or more than 25 m from the robot")]
+    #[error(
+        "the goal lies outside the map, or more than 25 m from the robot, which is the farthest that it plans: send it there in steps"
+    )]
     GoalOutsideMap,
     /// An obstacle or an exclusion zone is at the goal.
     #[error("the goal lies on an obstacle or in an exclusion zone, or too close to one")]
