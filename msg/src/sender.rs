@@ -20,6 +20,8 @@ pub enum CommandSourceKind {
     Navigation = 4,
     /// A command line or the keys at the laptop.
     Laptop = 5,
+    /// The base on another machine, on the robot's own: its navigation or whoever drives there.
+    Base = 6,
 }
 
 /// Sender of a command.
@@ -44,6 +46,9 @@ impl CommandSource {
     /// A person or a program at the laptop.
     pub const LAPTOP: Self = Self::of(CommandSourceKind::Laptop);
 
+    /// The base on another machine.
+    pub const BASE: Self = Self::of(CommandSourceKind::Base);
+
     const fn of(kind: CommandSourceKind) -> Self {
         Self { kind: kind as u32, port: 0, address: [0; 16] }
     }
@@ -59,8 +64,8 @@ impl CommandSource {
 
     /// Decodes the kind; an unknown code is [`CommandSourceKind::Unknown`].
     pub fn kind(&self) -> CommandSourceKind {
-        use CommandSourceKind::{Bridge, Client, Laptop, Navigation, Ros2, Unknown};
-        let kinds = [Bridge, Client, Ros2, Navigation, Laptop];
+        use CommandSourceKind::{Base, Bridge, Client, Laptop, Navigation, Ros2, Unknown};
+        let kinds = [Bridge, Client, Ros2, Navigation, Laptop, Base];
         kinds.into_iter().find(|kind| *kind as u32 == self.kind).unwrap_or(Unknown)
     }
 
@@ -79,6 +84,7 @@ impl fmt::Display for CommandSource {
             (CommandSourceKind::Ros2, _) => to.write_str("ros2"),
             (CommandSourceKind::Navigation, _) => to.write_str("navigation"),
             (CommandSourceKind::Laptop, _) => to.write_str("laptop"),
+            (CommandSourceKind::Base, _) => to.write_str("base"),
             (CommandSourceKind::Client | CommandSourceKind::Unknown, _) => to.write_str("unknown"),
         }
     }
@@ -151,6 +157,8 @@ mod tests {
         assert_eq!(CommandSource::client(peer).to_string(), "client [2001:db8::1]:70");
         assert_eq!(CommandSource::default().to_string(), "unknown");
         assert_eq!(CommandSource::NAVIGATION.to_string(), "navigation");
+        assert_eq!(CommandSource::BASE.to_string(), "base");
+        assert_eq!(CommandSource::BASE.kind(), CommandSourceKind::Base);
         assert_eq!(CommandSource::LAPTOP.address(), None);
         let damaged = CommandSource { kind: 2, port: u32::MAX, address: [0xff; 16] };
         assert_eq!((damaged.address(), damaged.to_string().as_str()), (None, "unknown"));

@@ -32,7 +32,7 @@ impl Bridge {
     /// Handles a velocity of the base, on the machine of its robot.
     pub fn receive_base_velocity(&self, robot: RobotId, command: &VelocityCommand, now: Monotonic) {
         self.update(|core| {
-            core.commands.set_sender(CommandSource::NAVIGATION);
+            core.commands.set_sender(CommandSource::BASE);
             core.receive_base_velocity(robot, command, now);
         });
     }

@@ -7,6 +7,7 @@ use crate::frame::IncompleteFrame;
 use crate::router::{
     BufferPool, Client, ClientId, ConnectionEnded, FlushOutcome, LargeFrame, OutgoingQueue, Source,
 };
+use crate::world::ClockOffset;
 use msg::Monotonic;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -273,17 +274,22 @@ impl Core {
 
     /// Tells a client and the operator that the client's clock was found to be set.
     pub(super) fn report_clock_step(&mut self, id: ClientId, step_s: f64) {
-        let text = |whose: &str| {
+        let text = |whose: &str, stamps: &str| {
             format!(
-                "{whose} clock was set by {step_s:+.3} s: several messages agree; its stamps are converted anew"
+                "{whose} clock was set by {step_s:+.3} s: several messages agree; its stamps are {stamps}"
             )
         };
-        self.router.send_notice(id, name::WARN, text("your"));
-        let source = match self.router.client(id) {
-            Some(client) => format!("the source {}: its", client.peer),
-            None => "ROS 2: the robots'".into(),
+        let Some(client) = self.router.client(id) else {
+            return self.report(text("ROS 2: the robots'", "taken as they are, as before"));
         };
-        self.report(text(&source));
+        // A fixed offset is added as before; a measured one is measured anew.
+        let stamps = match self.config.clock_offset {
+            ClockOffset::Measured => "converted anew",
+            ClockOffset::Fixed(_) => "converted by the configured offset, as before",
+        };
+        let source = format!("the source {}: its", client.peer);
+        self.router.send_notice(id, name::WARN, text("your", stamps));
+        self.report(text(&source, stamps));
     }
 
     /// Records an event for the operator's log.
