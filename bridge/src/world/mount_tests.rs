@@ -126,12 +126,16 @@ fn assert_near(found: &[[f64; 2]], expected: &[[f64; 2]], what: &str) {
     }
 }
 
+fn on_tf(from: Reader<'_>) -> Incoming<'_> {
+    Incoming::Transforms(from)
+}
+
 /// Sends a robot's transforms by one of the four topics.
 fn send_tree(world: &mut ExternalWorld, topic: usize, transforms: Vec<TransformStamped>) {
     let message = TfMessage { transforms };
     let sent = match topic {
         0 => send(world, &message, |from| Incoming::StaticTransforms(None, from), SECOND),
-        _ if topic == 1 => send(world, &message, |from| Incoming::Transforms(from), SECOND),
+        1 => send(world, &message, on_tf, SECOND),
         2 => send(world, &message, |from| Incoming::StaticTransforms(Some(robot(1)), from), SECOND),
         _ => send(world, &message, |from| Incoming::RobotTransforms(robot(1), from), SECOND),
     };
