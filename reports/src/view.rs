@@ -53,8 +53,12 @@ pub struct FleetView {
     pub contradicted_starts: Vec<String>,
     /// Health of each process.
     pub processes: Vec<ProcessView>,
-    /// State of the bridge; `None`: it was not asked, or did not answer.
+    /// State of the bridge; `None`: it was not asked, or did not answer. On the live table, its newest known state.
     pub bridge: Option<BridgeState>,
+    /// Why the bridge did not answer: whether robots are stopped and who drives is not known. `None`: it answered, or was not
+    /// asked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bridge_silence: Option<String>,
 }
 
 /// Figures of one robot.
@@ -216,6 +220,7 @@ impl FleetView {
             contradicted_starts: Vec::new(),
             processes: stats.processes.iter().filter_map(ProcessView::new).collect(),
             bridge: None,
+            bridge_silence: None,
         }
     }
 }

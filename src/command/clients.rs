@@ -41,7 +41,7 @@ pub fn run(args: &ClientsArgs) -> Result<(), PermissionError> {
         Some(which) => (args.run.open_to_change()?, Request::Drop(which)),
         None => (args.run.open()?, Request::State),
     };
-    let state = control::ask(&run, request, PATIENCE).map_err(|why| PermissionError::Bridge {
+    let state = control::ask_again(&run, request, PATIENCE).map_err(|why| PermissionError::Bridge {
         run: run.dir.display().to_string(),
         why: why.to_string(),
     })?;

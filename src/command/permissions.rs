@@ -75,10 +75,10 @@ pub enum PermissionError {
         /// Why it is not denied now.
         error: Box<PermissionError>,
     },
-    /// A fleet could be stopped neither by its bridge nor on the disk.
-    #[error("{failed} of {all} fleets may still drive; end them with Ctrl-C or `kill`")]
+    /// Nobody has confirmed that a fleet is stopped.
+    #[error("{failed} of {all} fleets may still drive; try again, or end them with Ctrl-C or `kill`")]
     NotStopped {
-        /// Fleets that are not stopped.
+        /// Fleets that are not known to be stopped.
         failed: usize,
         /// All fleets that were to be stopped.
         all: usize,
@@ -153,6 +153,6 @@ fn list(args: &StopArgs) -> Result<(), PermissionError> {
 }
 
 fn ask(run: &Run, request: Request) -> Result<BridgeState, PermissionError> {
-    control::ask(run, request, PATIENCE)
+    control::ask_again(run, request, PATIENCE)
         .map_err(|why| PermissionError::Bridge { run: run.dir.display().to_string(), why: why.to_string() })
 }

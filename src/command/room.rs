@@ -85,7 +85,7 @@ pub fn run(args: &RoomArgs) -> Result<(), RoomCommandError> {
 
 /// Tells the bridge that the offer is answered. If it does not hear, it shows the offer a little longer.
 fn tell_bridge(run: &Run) {
-    if let Err(why) = control::ask(run, Request::AnswerRoom, PATIENCE) {
+    if let Err(why) = control::ask_again(run, Request::AnswerRoom, PATIENCE) {
         tracing::warn!("{why}");
     }
 }

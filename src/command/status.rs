@@ -6,6 +6,7 @@ use crate::config::RobotSource;
 use crate::control::{self, Request};
 use crate::observer::Observer;
 use crate::ports::ChannelError;
+use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport, REPORT_AGE_MAX};
 use crate::run::{Run, RunError};
 use crate::terminal;
@@ -15,6 +16,10 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Show the figures of a running fleet
+///
+/// If the bridge does not answer, the figures are shown and the exit code is 1: whether the emergency stop is set, who drives and
+/// who waits is then not known. In JSON `bridge` is null, `bridge_silence` says why, and `stop_latched` whether the run's folder
+/// says that the stop is set.
 #[derive(Clone, Debug, clap::Args)]
 pub struct StatusArgs {
     /// Choice of the running fleet.
@@ -43,6 +48,14 @@ pub enum StatusError {
         /// Folder of the run.
         run: PathBuf,
     },
+    /// The figures were shown, but the bridge did not answer.
+    #[error("run {}: {why}; emergency stop, drivers and clients are not known", run.display())]
+    BridgeSilent {
+        /// Folder of the run.
+        run: PathBuf,
+        /// Why there is no answer.
+        why: String,
+    },
     /// The figures cannot be written to standard output.
     #[error("cannot print the figures: {0}")]
     Print(#[from] std::io::Error),
@@ -52,14 +65,32 @@ pub enum StatusError {
 pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
     let run = args.run.open()?;
     let (fleet, link) = (newest_figures(&run)?, link_figures(&run));
+    let stop_latched = stop_file(&run.dir).try_exists().ok();
     let text = || {
         let age_s = crate::clock::now().since(run.begun) as f64 * 1e-9;
         let heading = format!("run {} on port {}, {age_s:.0} s\n", run.dir.display(), run.port);
         let style = terminal::style(&std::io::stdout());
         let link: String = link.iter().flatten().filter_map(line).collect();
-        format!("{heading}{link}{}\n{}", fleet.table(&style), fleet.process_table(&style))
+        let latch = latch_line(&fleet, stop_latched);
+        format!("{heading}{link}{}{latch}\n{}", fleet.table(&style), fleet.process_table(&style))
     };
-    Ok(output::print_either(args.json, &Status { fleet: &fleet, link: link.as_deref() }, text)?)
+    let status = Status { fleet: &fleet, stop_latched, link: link.as_deref() };
+    output::print_either(args.json, &status, text)?;
+    match fleet.bridge_silence {
+        Some(why) => Err(StatusError::BridgeSilent { run: run.dir, why }),
+        None => Ok(()),
+    }
+}
+
+/// Says what the run's folder says of the emergency stop, where the bridge says nothing.
+fn latch_line(fleet: &FleetView, stop_latched: Option<bool>) -> &'static str {
+    match (&fleet.bridge_silence, stop_latched) {
+        (None, _) | (Some(_), Some(false)) => "",
+        (Some(_), Some(true)) => {
+            "EMERGENCY STOP is set in the run's folder: the bridge sets it when it goes on or starts again\n"
+        }
+        (Some(_), None) => "whether the EMERGENCY STOP is set in the run's folder cannot be read\n",
+    }
 }
 
 /// Figures of a fleet, at a base with those of the link to each robot.
@@ -67,6 +98,8 @@ pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
 struct Status<'a> {
     #[serde(flatten)]
     fleet: &'a FleetView,
+    /// Whether the run's folder says that the emergency stop is set; `None`: it cannot be read.
+    stop_latched: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
     link: Option<&'a [PeerReport]>,
 }
@@ -105,7 +138,10 @@ fn newest_figures(run: &Run) -> Result<FleetView, StatusError> {
     let stats = observer.stats().ok_or(StatusError::NoFigures { run: run.dir.clone() })?;
     let view = FleetView::new(stats).without_given_transforms(run.config.fleet.starts_known);
     observer.changed_edges();
-    // Figures without the bridge's state are still worth having: it may just be restarting.
-    let bridge = control::ask(run, Request::State, PATIENCE).ok();
-    Ok(FleetView { bridge, ..view.with_edges(observer.merge_edges()) })
+    // Figures without the bridge's state are still worth having.
+    let (bridge, bridge_silence) = match control::ask_again(run, Request::State, PATIENCE) {
+        Ok(state) => (Some(state), None),
+        Err(why) => (None, Some(why.to_string())),
+    };
+    Ok(FleetView { bridge, bridge_silence, ..view.with_edges(observer.merge_edges()) })
 }

@@ -28,7 +28,6 @@ use bridge::dds::{Discovery, DiscoveryVariables};
 use console::OperatorConsole;
 use events::Events;
 pub use pictures::add_plots;
-use reports::BridgeState;
 use reports::FleetView;
 use reports::Series;
 pub use scan_rates::ScanRates;
@@ -312,7 +311,9 @@ fn watch(
             screen.show_event(&event);
             events.push(begun.elapsed(), event);
         }
-        if has_new_stats && let Some(mut fleet) = fleet_view(run, &observer, console.refresh()) {
+        if has_new_stats && let Some(mut fleet) = fleet_view(run, &observer) {
+            console.refresh();
+            console.fill(&mut fleet);
             rates.add(&fleet);
             rates.fill(&mut fleet);
             series.add(&fleet, |robot| observer.command(robot));
@@ -330,8 +331,9 @@ fn watch(
     let (maps, errors) = observer.write_maps(&run.dir);
     let not_written: Vec<String> = errors.iter().map(ToString::to_string).collect();
     observer.changed_edges();
-    let mut fleet = fleet_view(run, &observer, console.newest());
+    let mut fleet = fleet_view(run, &observer);
     if let Some(fleet) = &mut fleet {
+        console.fill(fleet);
         rates.add(fleet);
         rates.fill(fleet);
     }
@@ -368,9 +370,9 @@ fn check_resources(run: &Run, screen: &mut Screen) -> Result<(), UpError> {
     Ok(())
 }
 
-fn fleet_view(run: &Run, observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetView> {
+fn fleet_view(run: &Run, observer: &Observer) -> Option<FleetView> {
     let view = FleetView::new(observer.stats()?).without_given_transforms(run.config.fleet.starts_known);
-    Some(FleetView { bridge, ..view.with_edges(observer.merge_edges()) })
+    Some(view.with_edges(observer.merge_edges()))
 }
 
 /// Returns a folder name that sorts by time, UTC.

@@ -116,12 +116,13 @@ fn stop_reaches_every_fleet_and_bridges_that_do_not_answer() {
     send(fleets.bridge(1), Signal::STOP);
     send(fleets.bridge(2), Signal::KILL);
     let stop = output_of(fleets.command().args(["stop", "--json"]));
-    assert!(stop.status.success(), "{}", String::from_utf8_lossy(&stop.stderr));
     let said: Value = serde_json::from_slice(&stop.stdout).unwrap();
     let said = said.as_array().unwrap();
     assert_eq!(said.len(), 3, "{said:?}");
     assert!(said.iter().all(|fleet| fleet["latched"] == true), "{said:?}");
     assert_eq!(said[0]["confirmed"], true, "{said:?}");
+    let all_confirmed = said.iter().all(|fleet| fleet["confirmed"] == true);
+    assert_eq!(stop.status.success(), all_confirmed, "what nobody has confirmed is no success: {said:?}");
     for number in 0..3 {
         until("a fleet that is stopped", || fleets.is_stopped(number).filter(|stopped| *stopped));
     }
@@ -133,4 +134,61 @@ fn stop_reaches_every_fleet_and_bridges_that_do_not_answer() {
     assert!(release.status.success(), "{}", String::from_utf8_lossy(&release.stderr));
     until("a fleet that is released", || fleets.is_stopped(1).filter(|stopped| !*stopped));
     assert_eq!(fleets.is_stopped(0), Some(true));
+}
+
+#[test]
+fn status_does_not_hide_a_bridge_that_does_not_answer() {
+    let fleets = Fleets::start(1);
+    until("a bridge that answers", || fleets.is_stopped(0));
+    // The launcher would replace the bridge.
+    send(fleets.launchers[0].id(), Signal::STOP);
+    let bridge = fleets.bridge(0);
+    send(bridge, Signal::STOP);
+    let ask =
+        |words: &[&str]| output_of(fleets.command().args(words).arg("--run-dir").arg(fleets.run_dir(0)));
+    let stop = ask(&["stop"]);
+    let said = String::from_utf8_lossy(&stop.stdout).into_owned();
+    assert!(!stop.status.success() && said.contains("NOT CONFIRMED"), "{said}");
+
+    let status = ask(&["status", "--json"]);
+    let figures: Value = serde_json::from_slice(&status.stdout).unwrap();
+    assert!(!status.status.success());
+    assert!(figures["bridge"].is_null(), "unknown is not false: {figures:#}");
+    assert!(
+        figures["bridge_silence"].as_str().unwrap().contains("the bridge does not answer"),
+        "{figures:#}"
+    );
+    assert_eq!(figures["stop_latched"], true);
+    assert_eq!(figures["robots"].as_array().unwrap().len(), 1, "the other figures are shown");
+
+    send(bridge, Signal::KILL);
+    let status = ask(&["status"]);
+    let said = String::from_utf8_lossy(&status.stdout).into_owned();
+    assert!(!status.status.success() && said.contains("the bridge does not answer"), "{said}");
+    assert!(said.contains("EMERGENCY STOP is set in the run's folder"), "{said}");
+    let release = ask(&["release"]);
+    let said = String::from_utf8_lossy(&release.stdout).into_owned();
+    assert!(said.contains("may have paused nobody"), "{said}");
+    send(fleets.launchers[0].id(), Signal::CONT);
+    until("a bridge that answers", || fleets.is_stopped(0));
+}
+
+#[test]
+fn a_release_at_once_does_not_undo_the_stop_of_a_bridge_that_was_killed() {
+    let fleets = Fleets::start(1);
+    until("a bridge that answers", || fleets.is_stopped(0));
+    let interruptions = || {
+        let status =
+            output_of(fleets.command().args(["status", "--json", "--run-dir"]).arg(fleets.run_dir(0)));
+        let figures: Value = serde_json::from_slice(&status.stdout).ok()?;
+        figures["bridge"]["interruptions"].as_u64()
+    };
+    send(fleets.bridge(0), Signal::KILL);
+    let stop = output_of(fleets.command().arg("stop"));
+    let release = output_of(fleets.command().arg("release"));
+    let text = |out: &std::process::Output| String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(stop.status.success() && release.status.success(), "{} {}", text(&stop), text(&release));
+    // The next bridge has set the stop, which pauses all robots, before it was released.
+    assert_eq!(until("a state", interruptions), 1);
+    assert_eq!(fleets.is_stopped(0), Some(false));
 }

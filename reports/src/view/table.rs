@@ -38,6 +38,9 @@ impl FleetView {
     /// Formats all figures of robots, merging and clients for a terminal.
     pub fn table(&self, style: &Style) -> String {
         let mut text = self.figures(style);
+        if let Some(line) = self.silence_line() {
+            text += &paint_lines(&style.wrap(&line, INDENT), style, Emphasis::Alarm);
+        }
         for line in self.robots.iter().filter_map(old_map) {
             let line = format!("         {line}");
             text += &paint_lines(&style.wrap(&line, INDENT), style, Emphasis::Alarm);
@@ -79,9 +82,16 @@ impl FleetView {
         text
     }
 
+    /// Says that the bridge does not answer, and what is not known for that reason.
+    fn silence_line(&self) -> Option<String> {
+        let why = self.bridge_silence.as_ref()?;
+        let known = if self.bridge.is_some() { "; what is shown of them is from before" } else { "" };
+        Some(format!("{why}: emergency stop, drivers and clients are not known{known}"))
+    }
+
     /// Lists what is wrong, for people.
     pub fn alarms(&self) -> Vec<String> {
-        let mut alarms = Vec::new();
+        let mut alarms: Vec<String> = self.silence_line().into_iter().collect();
         if self.bridge.as_ref().is_some_and(|bridge| bridge.stopped) {
             alarms.push("EMERGENCY STOP is set: robots stand until key r or mr-slam release".into());
         }

@@ -1,6 +1,6 @@
 //! Tools `mr-slam stop` and `mr-slam release`: the emergency stop is set on the disk first, then in the bridge.
 
-use super::{PATIENCE, PermissionError, StopArgs};
+use super::{PermissionError, StopArgs};
 use crate::command::output;
 use crate::config::RobotSource;
 use crate::control::{self, AskError, Request};
@@ -9,10 +9,17 @@ use crate::process::link::{LinkReport, PeerReport};
 use crate::run::{Run, RunError};
 use crate::storage::{DiskStorage, Storage};
 use msg::{Monotonic, PauseReason};
+use reports::BridgeState;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+/// How long the command asks a bridge that does not answer: one that is killed or frozen is replaced by then.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Largest part of the stop's file that is compared, bytes.
+const LATCH_BYTES_MAX: u64 = 4096;
+/// Why a release did not release.
+const SET_ANEW: &str = "the emergency stop was set anew meanwhile and holds";
 /// Longest wait until robots on other machines say that they are stopped: their states and the file come once a second.
 const ROBOTS_PATIENCE: Duration = Duration::from_secs(5);
 /// Period at which the file is read.
@@ -36,9 +43,9 @@ struct StoppedFleet {
 }
 
 impl StoppedFleet {
-    /// Whether a robot of the fleet may still drive.
+    /// Whether a robot of the fleet may still drive: nobody has confirmed that it is stopped.
     fn may_drive(&self) -> bool {
-        !self.confirmed && !self.latched || !self.unconfirmed.is_empty()
+        !self.confirmed || !self.unconfirmed.is_empty()
     }
 
     fn line(&self) -> String {
@@ -53,7 +60,8 @@ impl StoppedFleet {
             (true, false) => format!("every robot is stopped, but not across a restart: {why}"),
             (false, true) => {
                 format!(
-                    "the stop is latched: the bridge sets it as soon as it goes on or is replaced ({why})"
+                    "NOT CONFIRMED: the stop is latched, and the bridge sets it as soon as it goes on or is replaced; until then it \
+                     is not known whether robots drive ({why})"
                 )
             }
             (false, false) => format!("NOT STOPPED: {why}"),
@@ -110,7 +118,7 @@ fn latch(dir: PathBuf) -> Latched {
 fn confirm((dir, written): Latched) -> StoppedFleet {
     let begun = crate::clock::now();
     let asked = match Run::open_running(&dir) {
-        Ok(run) => match control::ask(&run, Request::Stop, PATIENCE) {
+        Ok(run) => match control::ask_again(&run, Request::Stop, PATIENCE) {
             Ok(state) if state.stopped => Ok(unconfirmed_robots(&run, begun)),
             Ok(_) => Err("the bridge has released it again".to_owned()),
             Err(why) => Err(why.to_string()),
@@ -176,22 +184,41 @@ pub fn release(args: &StopArgs) -> Result<(), PermissionError> {
     let run = args.run.open_to_change()?;
     let fail = |why: String| PermissionError::NotReleased { run: run.dir.display().to_string(), why };
     let asked = crate::clock::now();
-    let state = match control::ask(&run, Request::Release, PATIENCE) {
-        Ok(state) if state.stopped => {
-            return Err(fail("the emergency stop was set anew meanwhile and holds".into()));
-        }
+    let state = match ask_for_release(&run).map_err(fail)? {
+        Ok(state) if state.stopped => return Err(fail(SET_ANEW.into())),
         Ok(_) => "the robots may be driven again",
         Err(AskError::NoAnswer { source, is_listening: false }) => {
             DiskStorage.remove(&stop_file(&run.dir)).map_err(|why| {
                 fail(format!("the bridge does not run ({source}), and the stop stays on the disk: {why}"))
             })?;
-            "the bridge does not run; the stop is removed from the disk, and the next bridge lets robots be driven"
+            "the bridge does not run; the stop is removed from the disk, and the next bridge lets robots be driven. A stop that \
+             was not confirmed may have paused nobody"
         }
         Err(why) => return Err(fail(format!("{why}; the emergency stop holds, try again"))),
     };
     let [still_stopped, unconfirmed] = robots_after_release(&run, asked);
     let released = Released { run: &run.dir, state, still_stopped, unconfirmed };
     Ok(output::print_either(args.json, &released, || released.text())?)
+}
+
+/// Asks the bridge for a release, and again while none listens: a bridge that starts sets the stop first, which pauses the robots.
+///
+/// Errors: the stop's file was written anew meanwhile. That stop is not the one that is to be released.
+fn ask_for_release(run: &Run) -> Result<Result<BridgeState, AskError>, String> {
+    let latch = || DiskStorage.read(&stop_file(&run.dir), LATCH_BYTES_MAX).ok();
+    let (begun, released) = (Instant::now(), latch());
+    loop {
+        let present = latch();
+        if present.is_some() && present != released {
+            return Err(SET_ANEW.into());
+        }
+        match control::ask(run, Request::Release, PATIENCE) {
+            Err(AskError::NoAnswer { is_listening: false, .. }) if begun.elapsed() < PATIENCE => {
+                std::thread::sleep(control::RETRY_PERIOD);
+            }
+            answer => return Ok(answer),
+        }
+    }
 }
 
 /// Result of `mr-slam release`.

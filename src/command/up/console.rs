@@ -5,7 +5,7 @@ use crate::keys::Keys;
 use crate::process::control::saved_state::{latch_stop, stop_file};
 use crate::run::Run;
 use crate::storage::DiskStorage;
-use reports::BridgeState;
+use reports::{BridgeState, FleetView};
 use std::time::Duration;
 
 /// How long the launcher waits for the bridge, once a second and at a key. It has children to look after meanwhile.
@@ -16,25 +16,29 @@ pub(super) struct OperatorConsole<'a> {
     run: &'a Run,
     keys: Keys,
     newest: Option<BridgeState>,
+    /// Why the bridge did not answer when it was asked last.
+    silence: Option<String>,
 }
 
 impl<'a> OperatorConsole<'a> {
     /// Takes over the keyboard, if there is one.
     pub fn new(run: &'a Run) -> Self {
-        Self { run, keys: Keys::new(), newest: None }
+        Self { run, keys: Keys::new(), newest: None, silence: None }
     }
 
-    /// Asks the bridge for its state. If it does not answer, the newest known state is returned.
-    pub fn refresh(&mut self) -> Option<BridgeState> {
-        if let Ok(state) = control::ask(self.run, Request::State, PATIENCE) {
-            self.newest = Some(state);
+    /// Asks the bridge for its state. If it does not answer, the newest known state stays.
+    pub fn refresh(&mut self) {
+        match control::ask(self.run, Request::State, PATIENCE) {
+            Ok(state) => (self.newest, self.silence) = (Some(state), None),
+            Err(why) => self.silence = Some(why.to_string()),
         }
-        self.newest.clone()
     }
 
-    /// Newest known state of the bridge.
-    pub fn newest(&self) -> Option<BridgeState> {
-        self.newest.clone()
+    /// Puts the newest known state of the bridge into the figures, and why it is not the present one.
+    pub fn fill(&self, fleet: &mut FleetView) {
+        fleet.bridge.clone_from(&self.newest);
+        // A fleet that starts has no bridge yet.
+        fleet.bridge_silence = self.silence.clone().filter(|_| self.newest.is_some());
     }
 
     /// Keys that work now, for people.
@@ -67,9 +71,7 @@ impl<'a> OperatorConsole<'a> {
                 done
             }
             Err(why) if is_latched => {
-                format!(
-                    "the stop is latched: the bridge sets it as soon as it goes on or is replaced ({why})"
-                )
+                format!("stop NOT CONFIRMED: the bridge sets it as soon as it goes on or is replaced ({why})")
             }
             Err(why) => why.to_string(),
         })
