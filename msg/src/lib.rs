@@ -38,6 +38,7 @@ mod sender;
 mod service;
 mod stats;
 pub mod time;
+mod zone_shape;
 mod zones;
 
 pub mod grid;
@@ -63,7 +64,7 @@ pub use motion::{
 };
 pub use navigation::{
     GOAL_POSES_MAX, NavigationAction, NavigationCommand, NavigationFrame, NavigationPlan, NavigationPose,
-    NavigationReport, NavigationStatus, PLAN_POINTS_MAX, PauseReason, RobotHold,
+    NavigationReport, NavigationStatus, PLAN_POINTS_MAX, PauseReason, REASON_BYTES_MAX, RobotHold,
 };
 pub use pose::Pose2;
 pub use rect::IndexRect;
@@ -83,6 +84,7 @@ pub use submap::{
 pub use swept_disk::SweptDisk;
 pub use tiles::{DenseMap, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
+pub use zone_shape::ShapeError;
 pub use zones::{
     ExclusionZone, ExclusionZones, ZONE_ANSWERS_MAX, ZONE_CORNERS_MAX, ZONES_MAX, ZoneAction, ZoneAnswer,
     ZoneCommand, ZoneError, ZoneRefusal,

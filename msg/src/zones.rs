@@ -2,6 +2,7 @@
 
 use crate::Header;
 use crate::pose::COORDINATE_MAX_M;
+use crate::zone_shape::{self, ShapeError};
 use bytemuck::{Pod, Zeroable};
 use thiserror::Error;
 
@@ -15,9 +16,6 @@ pub const ZONE_CORNERS_MIN: usize = 3;
 pub const ZONE_SOURCE_MAX: usize = 24;
 /// Most commands whose answers are kept.
 pub const ZONE_ANSWERS_MAX: usize = 64;
-/// Corners of a smaller parallelogram lie on one line, square metres.
-const AREA_MIN_M2: f64 = 1e-6;
-
 /// Corners that make no zone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum ZoneError {
@@ -27,9 +25,9 @@ pub enum ZoneError {
     /// A corner is not a usable point.
     #[error("corner {} of the zone is not a finite point within 100 km of the origin", .0 + 1)]
     NotFinite(usize),
-    /// All corners lie on one line.
-    #[error("the corners of the zone lie on one line; expected an area")]
-    NoArea,
+    /// The corners go around no area.
+    #[error(transparent)]
+    Shape(#[from] ShapeError),
 }
 
 /// Polygon that navigation keeps robots out of.
@@ -67,9 +65,7 @@ impl ExclusionZone {
         if let Some(index) = corners_m.iter().position(|corner| !is_usable(corner)) {
             return Err(ZoneError::NotFinite(index));
         }
-        if !has_area(corners_m) {
-            return Err(ZoneError::NoArea);
-        }
+        zone_shape::check(corners_m)?;
         let mut zone = Self { corners_len: count as u32, ..Self::default() };
         zone.corners_m[..count].copy_from_slice(corners_m);
         Ok(zone)
@@ -159,7 +155,9 @@ pub enum ZoneRefusal {
     #[error("no zone has this number")]
     Unknown = 2,
     /// The polygon or the command is broken.
-    #[error("the zone has too few or too many corners, one that is not finite, or no area")]
+    #[error(
+        "the zone has too few or too many corners, one that is not finite or is repeated, sides that cross each other, or no area"
+    )]
     Broken = 3,
 }
 
@@ -238,13 +236,6 @@ impl ExclusionZones {
     pub fn refusal(&self) -> Option<ZoneRefusal> {
         self.answers[0].refusal()
     }
-}
-
-/// Whether some three of the corners make a triangle.
-fn has_area(corners_m: &[[f64; 2]]) -> bool {
-    let [x, y] = corners_m[0];
-    let from_first = || corners_m.iter().map(|[u, v]| [u - x, v - y]);
-    from_first().any(|[a, b]| from_first().any(|[c, d]| (a * d - b * c).abs() > AREA_MIN_M2))
 }
 
 #[cfg(test)]
