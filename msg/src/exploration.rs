@@ -112,11 +112,23 @@ pub enum ExplorerState {
     Silent = 4,
     /// It returns to a place that it knows, because its own has become uncertain.
     Revisiting = 5,
+    /// It stands in an exclusion zone, and reaches no floor outside.
+    Excluded = 6,
+    /// It reaches no floor of the map: obstacles are around it, or the map ends before it.
+    Enclosed = 7,
 }
 
 impl ExplorerState {
-    const ALL: [Self; 6] =
-        [Self::None, Self::Exploring, Self::Manual, Self::Lost, Self::Silent, Self::Revisiting];
+    const ALL: [Self; 8] = [
+        Self::None,
+        Self::Exploring,
+        Self::Manual,
+        Self::Lost,
+        Self::Silent,
+        Self::Revisiting,
+        Self::Excluded,
+        Self::Enclosed,
+    ];
 
     /// Returns the state's name in JSON.
     pub fn name(self) -> &'static str {
@@ -127,12 +139,26 @@ impl ExplorerState {
             Self::Lost => "lost",
             Self::Silent => "silent",
             Self::Revisiting => "revisiting",
+            Self::Excluded => "excluded",
+            Self::Enclosed => "enclosed",
         }
     }
 
-    /// Returns whether the exploration drives the robot by goals.
+    /// Returns whether the exploration drives the robot by goals, or will as soon as it can reach one.
     pub fn is_driven(self) -> bool {
-        matches!(self, Self::Exploring | Self::Revisiting)
+        matches!(self, Self::Exploring | Self::Revisiting | Self::Excluded | Self::Enclosed)
+    }
+
+    /// Says for people why the robot has no part in the exploration; `None` if it has, or if there is no exploration.
+    pub fn absence(self) -> Option<&'static str> {
+        match self {
+            Self::None | Self::Exploring | Self::Revisiting => None,
+            Self::Manual => Some("taken by hand or stopped"),
+            Self::Lost => Some("lost"),
+            Self::Silent => Some("silent"),
+            Self::Excluded => Some("in an exclusion zone"),
+            Self::Enclosed => Some("on no floor of the map"),
+        }
     }
 }
 

@@ -42,6 +42,7 @@ impl Scene {
         client.subscribe(STATE, ros::Text::TYPE);
         client.advertise::<ros::Bool>(EXPLORE);
         client.advertise::<ros::Empty>("/robot1/resume_navigation");
+        client.advertise::<ros::PolygonStamped>("/exclusion_zones/add");
         client.advertise::<ros::Twist>("/robot1/cmd_vel");
         client.advertise::<ros::Bool>("/emergency_stop");
         client.advertise::<ros::Empty>("/emergency_stop_release");
@@ -198,4 +199,40 @@ fn robots_that_do_not_know_where_the_others_are_explore_their_own_maps() {
         let has_moved = moved.x_m.hypot(moved.y_m) > 0.1 || moved.yaw_rad.abs() > 0.2;
         assert!(has_moved && state_of(robot, "exploring")(&scene.state), "robot{robot}: {}", scene.state);
     }
+}
+
+/// Square of an exclusion zone around a robot, so large that it does not get out by itself.
+fn zone_around(centre: Pose2, half_m: f64) -> ros::PolygonStamped {
+    let corner = |[x, y]: [f64; 2]| [(centre.x_m + half_m * x) as f32, (centre.y_m + half_m * y) as f32, 0.0];
+    let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(corner).to_vec();
+    ros::PolygonStamped { frame_id: "map".into(), corners, ..Default::default() }
+}
+
+#[test]
+fn the_result_names_robots_in_exclusion_zones() {
+    let is_over = |state: &serde_json::Value| state["state"] == "completed" || state["state"] == "failed";
+    let mut scene = Scene::new(FaultPlan::none());
+    let inside = scene.truth(2).0;
+    scene.client.publish("/exclusion_zones/add", &zone_around(inside, 0.7));
+    scene.run(0.5, |_| false);
+    scene.explore();
+    assert!(scene.run(10.0, state_of(2, "excluded")), "{}", scene.state);
+    assert!(scene.run(SECONDS_MAX, is_over), "{}", scene.state);
+    let reason = scene.state["reason"].as_str().unwrap();
+    assert!(
+        reason.contains("robot2 (in an exclusion zone)") && !reason.contains("robot1"),
+        "{}",
+        scene.state
+    );
+    assert_eq!(scene.state["robots"][1], "excluded", "as long as the result stands: {}", scene.state);
+    assert!(inside.distance_m(scene.truth(2).0) < 0.02, "it stands");
+
+    let mut scene = Scene::new(FaultPlan::none());
+    scene.client.publish("/exclusion_zones/add", &zone_around(Pose2::IDENTITY, 100.0));
+    scene.run(0.5, |_| false);
+    scene.explore();
+    assert!(scene.run(SECONDS_MAX, is_over), "{}", scene.state);
+    assert_eq!(scene.state["state"], "failed", "{}", scene.state);
+    let reason = scene.state["reason"].as_str().unwrap();
+    assert!(reason.contains("robot1, robot2 (in an exclusion zone)"), "{}", scene.state);
 }

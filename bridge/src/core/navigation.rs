@@ -316,7 +316,7 @@ impl Core {
     pub fn record_exploration(&mut self, report: &ExplorationReport) {
         let robots: Vec<RobotId> = self.fleet.robots().collect();
         for robot in robots {
-            let is_exploring = report.robot(robot.index()).is_driven();
+            let is_exploring = !report.status().is_final() && report.robot(robot.index()).is_driven();
             self.gate.drive_mut().set_exploring(robot, is_exploring);
             if self.gate.drive().is_stopped() {
                 self.pause_navigation([robot]);

@@ -4,8 +4,8 @@ use crate::local::LocalClient;
 use bridge::ros::PoseStamped;
 use bridge::{Bridge, BridgeConfig, FleetMessage};
 use msg::{
-    ExplorationReport, ExplorerState, Monotonic, NavigationAction, NavigationReport, NavigationStatus,
-    RobotId,
+    ExplorationReport, ExplorationStatus, ExplorerState, Monotonic, NavigationAction, NavigationReport,
+    NavigationStatus, RobotId,
 };
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -41,11 +41,16 @@ fn a_robot_that_gets_something_to_do_during_the_stop_is_paused() {
     bridge.publish(FleetMessage::NavigationState(robot(1), &report(NavigationStatus::Paused)));
     assert!(commands.borrow().is_empty(), "it is paused");
     let mut exploration = ExplorationReport::default();
-    for state in [ExplorerState::Exploring, ExplorerState::Revisiting] {
+    let driven = [ExplorerState::Exploring, ExplorerState::Revisiting];
+    // As soon as they can reach a goal, these drive.
+    for state in driven.into_iter().chain([ExplorerState::Excluded, ExplorerState::Enclosed]) {
         exploration.robots[1] = state as u8;
         bridge.publish(FleetMessage::ExplorationState(&exploration));
         assert_eq!(commands.take(), [(robot(2), Some(NavigationAction::Pause))]);
     }
+    exploration.status = ExplorationStatus::Completed as u32;
+    bridge.publish(FleetMessage::ExplorationState(&exploration));
+    assert!(commands.borrow().is_empty(), "an exploration that is over drives nobody");
     bridge.release_stop();
     assert!(commands.borrow().is_empty(), "the release sets nobody off");
 }

@@ -10,6 +10,7 @@
 //! own. What a robot sees on its way counts: a viewpoint that shows nothing new any more is dropped at the next plan.
 //! The baseline to beat is the coordination of Burgard, Moors, Stachniss and Schneider (2005).
 
+pub mod absent;
 mod assign;
 mod coarse;
 mod config;
@@ -192,6 +193,12 @@ impl FleetCoordinator {
     /// Whether some robot could be given goals at the last plan.
     pub fn has_explorers(&self) -> bool {
         self.buffers.has_robots()
+    }
+
+    /// Whether a robot that would get goals reached no floor at the last plan: it stands in an excluded area, or surrounded by
+    /// obstacles.
+    pub fn is_enclosed(&self, robot: RobotId) -> bool {
+        self.buffers.is_enclosed(robot)
     }
 
     /// Parts of the map that are unknown beside known free space, and why no robot goes there.

@@ -9,8 +9,9 @@ use super::types::{
 use super::views::{Viewpoint, ViewpointSearch};
 use super::{FleetCoordinator, RobotRecord};
 use crate::geometry::distance_m;
-use msg::ROBOTS_MAX;
+use crate::navigation::START_SNAP_MAX_M;
 use msg::grid::Occupancy;
+use msg::{ROBOTS_MAX, RobotId};
 
 /// Space around a robot's body that is taken as free where it stands, whatever the map says, metres.
 const OWN_SPACE_M: f64 = 0.095;
@@ -35,6 +36,8 @@ pub(super) struct PlanBuffers {
     pub(super) robot_costs: Vec<Vec<u32>>,
     /// Indices of robots in the input.
     pub(super) robots: Vec<usize>,
+    /// Robots that would get goals, but reach no floor.
+    enclosed: Vec<RobotId>,
     pub(super) viewpoints: Vec<Viewpoint>,
     /// Places of each robot's tour of the last plan, in the map, metres; in the order of the robots' numbers.
     pub(super) tours_m: Vec<Vec<[f64; 2]>>,
@@ -47,6 +50,11 @@ impl PlanBuffers {
     /// Whether some robot could be given goals.
     pub(super) fn has_robots(&self) -> bool {
         !self.robots.is_empty()
+    }
+
+    /// Whether a robot would get goals, but reaches no floor.
+    pub(super) fn is_enclosed(&self, robot: RobotId) -> bool {
+        self.enclosed.contains(&robot)
     }
 
     /// Whether a robot reaches the square of a cell.
@@ -117,12 +125,18 @@ impl FleetCoordinator {
         buffers.floor.update(map, (config.body, clearance_min_m), places_m, is_excluded);
         buffers.coarse.update(map, |cell| buffers.floor.is_reached(cell));
         buffers.robots.clear();
+        buffers.enclosed.clear();
         for (index, robot) in input.robots.iter().enumerate() {
             let pose = robot.map_from_base.filter(|pose| pose.is_finite());
             let is_free = robot.availability == RobotAvailability::Free;
             let Some(pose) = pose.filter(|_| is_free) else { continue };
-            let Some(cell) = map.cell_at([pose.x_m, pose.y_m]) else { continue };
-            let Some(start) = buffers.coarse.nearest_passable(buffers.coarse.square_of(cell)) else {
+            let at_m = [pose.x_m, pose.y_m];
+            // Navigation gets a robot out of a zone, or off an obstacle, from no farther away.
+            let floor = map.nearest_cell(at_m, START_SNAP_MAX_M, |cell| buffers.floor.is_reached(cell));
+            let cell = floor.and_then(|_| map.cell_at(at_m));
+            let start = cell.and_then(|cell| buffers.coarse.nearest_passable(buffers.coarse.square_of(cell)));
+            let Some(start) = start else {
+                buffers.enclosed.push(robot.robot);
                 continue;
             };
             let slot = buffers.robots.len();

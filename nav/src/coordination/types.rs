@@ -17,6 +17,10 @@ pub enum RobotAvailability {
     Lost,
     /// It does not answer any more; where it stands is an obstacle.
     Silent,
+    /// It stands in an exclusion zone, and reaches no floor outside. Only an exploration says so; no input does.
+    Excluded,
+    /// It reaches no floor of the map, because of obstacles or because the map ends. Only an exploration says so; no input does.
+    Enclosed,
 }
 
 impl RobotAvailability {
@@ -67,7 +71,7 @@ pub struct CoordinatedRobot {
 pub enum ExplorationEnd {
     /// Nothing reachable is unknown, and the robots are back.
     Completed,
-    /// All robots are lost, silent or surrounded by obstacles.
+    /// All robots are lost, silent, in exclusion zones or surrounded by obstacles.
     NoRobot,
     /// Nothing reachable is unknown in the part of the map around the robots; the map is larger than what is planned on.
     MapTooLarge,

@@ -4,7 +4,7 @@ use super::state_file::SavedExploration;
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
-use ::nav::coordination::{CoordinationPhase, ExplorationEnd, FoundLeftover, RobotAvailability};
+use ::nav::coordination::{CoordinationPhase, ExplorationEnd, FoundLeftover, RobotAvailability, absent};
 use ::nav::{CoordinationConfig, FleetExploration, FleetNavigator, NavigationInput, NavigatorConfig};
 use msg::{
     ExplorationAction, ExplorationCommand, ExplorationLeftover, ExplorationReport, ExplorationStatus,
@@ -16,8 +16,6 @@ const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 /// Why it stands while persons have all robots.
 const ALL_TAKEN: &str =
     "persons or the base have taken or stopped all robots; resume them, or start the exploration again";
-const NO_ROBOT: &str =
-    "for 60 s no robot could be given a goal: all are lost, silent or surrounded by obstacles";
 const MAP_TOO_LARGE: &str =
     "the map is larger than the 51 m on which exploration plans; what lies farther away was not looked at";
 const STOPPED: &str = "stopped on demand";
@@ -151,13 +149,16 @@ impl<P: Ports> Exploration<P> {
         exploration.step(navigator, input, is_silent);
         match exploration.end() {
             Some(ExplorationEnd::Completed) => {
-                let reason = completion(exploration, &self.robots);
+                let reason = absent::completion(&self.parts());
                 self.end(navigator, ExplorationStatus::Completed, reason);
             }
             Some(ExplorationEnd::MapTooLarge) => {
                 self.end(navigator, ExplorationStatus::Failed, MAP_TOO_LARGE.into());
             }
-            Some(ExplorationEnd::NoRobot) => self.end(navigator, ExplorationStatus::Failed, NO_ROBOT.into()),
+            Some(ExplorationEnd::NoRobot) => {
+                let reason = absent::no_robot(&self.parts());
+                self.end(navigator, ExplorationStatus::Failed, reason);
+            }
             None => {}
         }
     }
@@ -171,8 +172,19 @@ impl<P: Ports> Exploration<P> {
         self.report.status = status as u32;
         self.report.set_reason(&reason);
         (self.report.least_s, self.report.most_s) = (f64::NAN, f64::NAN);
-        self.report.robots.fill(ExplorerState::None as u8);
+        for index in 0..self.report.robots.len() {
+            // Who had no part, and why, is of interest as long as the result is.
+            if self.report.robot(index).absence().is_none() {
+                self.report.robots[index] = ExplorerState::None as u8;
+            }
+        }
         self.has_changed = true;
+    }
+
+    /// The part of each robot at the last step.
+    fn parts(&self) -> Vec<(RobotId, ExplorerState)> {
+        let Some(exploration) = &self.active else { return Vec::new() };
+        self.robots.iter().map(|robot| (*robot, part(exploration.availability(*robot)))).collect()
     }
 
     /// Publishes the state if it has changed, and once a second while the exploration goes on.
@@ -199,13 +211,7 @@ impl<P: Ports> Exploration<P> {
         let Some(exploration) = &self.active else { return };
         let report = &mut self.report;
         for robot in &self.robots {
-            report.robots[robot.index()] = match exploration.availability(*robot) {
-                None | Some(RobotAvailability::Lost) => ExplorerState::Lost,
-                Some(RobotAvailability::Free) => ExplorerState::Exploring,
-                Some(RobotAvailability::Revisiting) => ExplorerState::Revisiting,
-                Some(RobotAvailability::Manual) => ExplorerState::Manual,
-                Some(RobotAvailability::Silent) => ExplorerState::Silent,
-            } as u8;
+            report.robots[robot.index()] = part(exploration.availability(*robot)) as u8;
         }
         let is_manual = |robot: &RobotId| report.robot(robot.index()) == ExplorerState::Manual;
         let is_paused = self.robots.iter().all(is_manual);
@@ -262,17 +268,17 @@ impl<P: Ports> Exploration<P> {
     }
 }
 
-/// Says what a completed exploration could not include.
-fn completion(exploration: &FleetExploration, robots: &[RobotId]) -> String {
-    let missing: Vec<String> = robots
-        .iter()
-        .filter(|robot| !exploration.availability(**robot).is_some_and(RobotAvailability::explores))
-        .map(ToString::to_string)
-        .collect();
-    if missing.is_empty() {
-        return "nothing reachable is unknown".into();
+/// The part of a robot, as reports have it.
+fn part(availability: Option<RobotAvailability>) -> ExplorerState {
+    match availability {
+        None | Some(RobotAvailability::Lost) => ExplorerState::Lost,
+        Some(RobotAvailability::Free) => ExplorerState::Exploring,
+        Some(RobotAvailability::Revisiting) => ExplorerState::Revisiting,
+        Some(RobotAvailability::Manual) => ExplorerState::Manual,
+        Some(RobotAvailability::Silent) => ExplorerState::Silent,
+        Some(RobotAvailability::Excluded) => ExplorerState::Excluded,
+        Some(RobotAvailability::Enclosed) => ExplorerState::Enclosed,
     }
-    format!("nothing that the other robots reach is unknown; without {}", missing.join(", "))
 }
 
 fn leftover(found: &FoundLeftover) -> ExplorationLeftover {

@@ -3,7 +3,7 @@
 use super::*;
 use crate::navigation::{LocalizationUncertainty, NavigatorConfig};
 use crate::observation::{BURGER_BASE_FROM_SCAN, MapView, RobotObservation, ScanView};
-use msg::{Pose2, Stamp};
+use msg::{ExclusionZone, Pose2, Stamp};
 
 /// Free space of 4 m by 4 m in the middle of unknown space.
 fn cells() -> Vec<i8> {
@@ -134,4 +134,45 @@ fn a_robot_whose_place_becomes_uncertain_returns_to_one_that_it_knows() {
     );
     assert_eq!(step(4.0, 0.9, false).0, RobotAvailability::Revisiting, "until the loop is closed");
     assert!(exploring(step(4.0, 0.2, true)));
+}
+
+#[test]
+fn who_stands_deep_in_a_zone_is_said_to_be_excluded_until_the_zone_is_gone() {
+    let cells = cells();
+    let mut robots = robots(&cells, 2);
+    robots[1].observation.map_from_base = Some(Pose2::new(5.0, 2.0, 0.0));
+    let [free, inside] = [0, 1].map(|index: usize| robots[index].observation.robot);
+    // So deep that navigation does not drive it out, but no deeper.
+    let zones = [ExclusionZone::new(&[[4.5, 0.0], [5.5, 0.0], [5.5, 4.0], [4.5, 4.0]]).unwrap()];
+    let mut navigator = FleetNavigator::new(NavigatorConfig::default());
+    let mut exploration = FleetExploration::new(CoordinationConfig::default());
+    let mut step = |second: u32, exclusion_zones: &[ExclusionZone]| {
+        let stamp = Stamp::from_seconds(f64::from(second));
+        let input = NavigationInput { stamp, robots: &robots, exclusion_zones };
+        exploration.step(&mut navigator, &input, &|_| false);
+        [free, inside].map(|robot| exploration.availability(robot).unwrap())
+    };
+    for second in 0..10 {
+        assert_eq!(step(second, &zones), [RobotAvailability::Free, RobotAvailability::Excluded]);
+    }
+    assert_eq!(step(20, &[]), [RobotAvailability::Free; 2]);
+    // A zone over all robots ends it, and the states say why.
+    let all = [ExclusionZone::new(&[[1.0, -1.0], [7.0, -1.0], [7.0, 5.0], [1.0, 5.0]]).unwrap()];
+    for second in 30..100 {
+        assert_eq!(step(second, &all), [RobotAvailability::Excluded; 2]);
+    }
+    assert_eq!(exploration.end(), Some(ExplorationEnd::NoRobot));
+}
+
+#[test]
+fn a_robot_beyond_the_map_is_said_to_reach_no_floor() {
+    let cells = cells();
+    let mut robots = robots(&cells, 2);
+    robots[1].observation.map_from_base = Some(Pose2::new(100.0, 2.0, 0.0));
+    let mut navigator = FleetNavigator::new(NavigatorConfig::default());
+    let mut exploration = FleetExploration::new(CoordinationConfig::default());
+    let input = NavigationInput { stamp: Stamp(0), robots: &robots, exclusion_zones: &[] };
+    exploration.step(&mut navigator, &input, &|_| false);
+    let availability = exploration.availability(robots[1].observation.robot);
+    assert_eq!(availability, Some(RobotAvailability::Enclosed));
 }
