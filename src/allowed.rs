@@ -37,8 +37,8 @@ pub fn read(storage: &impl Storage, path: &Path) -> io::Result<(Vec<IpAddr>, Vec
     let (mut addresses, mut unsound) = (Vec::new(), Vec::new());
     for line in text.lines() {
         let word = line.split('#').next().unwrap_or_default().trim();
-        match word.parse::<IpAddr>() {
-            Ok(address) if addresses.len() < ADDRESSES_MAX => addresses.push(address.to_canonical()),
+        match bridge::parse_peer_address(word) {
+            Ok(address) if addresses.len() < ADDRESSES_MAX => addresses.push(address),
             Ok(_) => {}
             Err(_) if word.is_empty() => {}
             Err(_) => unsound.push(line.to_owned()),

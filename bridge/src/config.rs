@@ -14,6 +14,7 @@ pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
 pub use page::PageConfig;
 pub use velocity::{LimitsOfRobot, VelocityConfig};
 
+use crate::peer_address::check_peer_address;
 use crate::world::ClockOffset;
 use ros_messages::OdometrySigmas;
 use ros_messages::{Dialect, NameStyle};
@@ -154,6 +155,11 @@ impl BridgeConfig {
         self.validate_limits()?;
         self.validate_times()?;
         velocity::check_stick(self.stick_linear_m_s, self.stick_angular_rad_s)?;
+        if let Some(index) = self.allow.iter().position(|address| check_peer_address(*address).is_err()) {
+            let expected = "the address of one machine, such as 192.168.1.20: no client has an unspecified, multicast or \
+                            broadcast address";
+            return Err(ConfigError::new(format!("allow[{index}]"), self.allow[index].to_string(), expected));
+        }
         if let Some(name) =
             self.open_topics.iter().find(|name| ros_messages::interfaces::resolve_name(name).is_err())
         {

@@ -22,6 +22,7 @@ mod fleet_topics;
 pub mod frame;
 mod input;
 mod page;
+mod peer_address;
 pub mod relay;
 mod repeater;
 mod room_offer;
@@ -48,6 +49,7 @@ pub use page::{
     PageContent, PageFile, PageListeners, ROOM_BYTES_MAX, SaveRoom, SaveTlx, TlsAcceptor, TlsError,
     TlxAnswer, TlxError, serve_page, tls_acceptor,
 };
+pub use peer_address::{PeerAddressError, PeerTextError, check_peer_address, parse_peer_address};
 pub use room_offer::RoomOffer;
 pub use ros_messages as ros;
 pub use ros_messages::{OdometrySigmas, RobotNameError, RobotNames, cdr, interfaces};

@@ -24,9 +24,9 @@ pub struct EdgesArgs {
     #[command(subcommand)]
     pub action: Option<Action>,
     /// Print the result as JSON
-    #[arg(long)]
+    #[arg(long, global = true)]
     pub json: bool,
-    /// Choice of the running fleet; given before the action.
+    /// Choice of the running fleet.
     #[command(flatten)]
     pub run: RunArgs,
 }

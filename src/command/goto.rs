@@ -33,7 +33,7 @@ pub struct GotoArgs {
     #[arg(value_name = "ROBOT", value_parser = robot)]
     pub robot: RobotId,
     /// Place in the frame `map`: metres, metres and, if the heading matters, radians
-    #[arg(value_name = "X,Y[,YAW]", value_parser = pose, allow_hyphen_values = true, required_unless_present = "cancel")]
+    #[arg(value_name = "X,Y[,YAW]", value_parser = pose, required_unless_present = "cancel")]
     pub pose: Option<NavigationPose>,
     /// The place is in the robot's own map (frame `map_N`)
     #[arg(long)]

@@ -3,6 +3,7 @@
 pub mod clients;
 mod confirmation;
 mod connection_log;
+mod coordinates;
 pub mod demo;
 pub mod doctor;
 pub mod edges;
@@ -30,6 +31,7 @@ pub mod zone;
 
 use crate::stop::Stop;
 use clap::{Parser, Subcommand};
+use std::ffi::OsString;
 
 /// Reason why a tool ended without a result.
 pub type Error = Box<dyn std::error::Error>;
@@ -104,6 +106,14 @@ enum Command {
     /// Run one process of a fleet; started by `up`
     #[command(hide = true)]
     Worker(worker::WorkerArgs),
+}
+
+impl Cli {
+    /// Parses the words of a command line, the program's name first. Coordinates may begin with a minus, and options may stand
+    /// before or behind them.
+    pub fn parse_words(words: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
+        Self::try_parse_from(words.into_iter().map(coordinates::as_value))
+    }
 }
 
 /// Runs the tool that the command line names.

@@ -24,7 +24,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 #[derive(Clone, Debug, clap::Args)]
 pub struct AllowArgs {
     /// IP address, such as the headset's
-    #[arg(value_name = "ADDRESS")]
+    #[arg(value_name = "ADDRESS", value_parser = bridge::parse_peer_address)]
     pub address: Option<IpAddr>,
     /// Choice of the running fleet, and the format of the answer.
     #[command(flatten)]
@@ -35,7 +35,7 @@ pub struct AllowArgs {
 #[derive(Clone, Debug, clap::Args)]
 pub struct DenyArgs {
     /// IP address of the client
-    #[arg(value_name = "ADDRESS")]
+    #[arg(value_name = "ADDRESS", value_parser = bridge::parse_peer_address)]
     pub address: IpAddr,
     /// Choice of the running fleet, and the format of the answer.
     #[command(flatten)]

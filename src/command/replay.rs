@@ -95,7 +95,7 @@ pub struct ReplayArgs {
     #[arg(long, value_enum, default_value_t)]
     pub mode: Mode,
     /// Approximate pose of the robot in the session's map: metres, metres, radians [default: relocalize]
-    #[arg(long, value_name = "X,Y,YAW", value_parser = crate::process::pose, allow_hyphen_values = true, requires = "session")]
+    #[arg(long, value_name = "X,Y,YAW", value_parser = crate::process::pose, requires = "session")]
     pub at: Option<Pose2>,
     /// Continue where the session ended, as if it had never stopped
     #[arg(long, requires = "session", conflicts_with = "at")]

@@ -19,9 +19,9 @@ pub struct RoomArgs {
     #[command(subcommand)]
     pub answer: Option<Answer>,
     /// Print the result as JSON
-    #[arg(long)]
+    #[arg(long, global = true)]
     pub json: bool,
-    /// Choice of the running fleet; given before the answer.
+    /// Choice of the running fleet.
     #[command(flatten)]
     pub run: RunArgs,
 }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct RunArgs {
     /// Folder of the run; needed if several fleets run and something is to be changed [default: the newest run]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", global = true)]
     pub run_dir: Option<PathBuf>,
 }
 

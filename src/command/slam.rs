@@ -73,7 +73,7 @@ pub enum SlamAction {
         #[arg(long, value_enum, default_value_t)]
         mode: Mode,
         /// Approximate pose of the robot in the map: metres, metres, radians
-        #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
+        #[arg(long, value_name = "X,Y,YAW", value_parser = pose)]
         at: Option<Pose2>,
         /// Place the robot at the session's first scan
         #[arg(long, conflicts_with_all = ["at", "at_last"])]
@@ -103,7 +103,7 @@ pub enum SlamAction {
     /// Set the robot's approximate pose
     Pose {
         /// Pose in `robotK/map`: metres, metres, radians
-        #[arg(value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
+        #[arg(value_name = "X,Y,YAW", value_parser = pose)]
         pose: Pose2,
     },
     /// Change the use of the map

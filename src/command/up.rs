@@ -55,7 +55,7 @@ pub struct UpArgs {
     #[arg(long, value_name = "P")]
     pub page: Option<page::PageChoice>,
     /// Address that may drive, such as the headset's; may be given several times
-    #[arg(long, value_name = "ADDRESS")]
+    #[arg(long, value_name = "ADDRESS", value_parser = bridge::parse_peer_address)]
     pub allow: Vec<IpAddr>,
     /// Let everybody who reaches the port drive the robots
     #[arg(long)]
@@ -311,9 +311,7 @@ fn watch(
             screen.show_event(&event);
             events.push(begun.elapsed(), event);
         }
-        if has_new_stats && let Some(mut fleet) = fleet_view(run, &observer) {
-            console.refresh();
-            console.fill(&mut fleet);
+        if has_new_stats && let Some(mut fleet) = fleet_view(run, &observer, console.refreshed()) {
             rates.add(&fleet);
             rates.fill(&mut fleet);
             series.add(&fleet, |robot| observer.command(robot));
@@ -331,9 +329,8 @@ fn watch(
     let (maps, errors) = observer.write_maps(&run.dir);
     let not_written: Vec<String> = errors.iter().map(ToString::to_string).collect();
     observer.changed_edges();
-    let mut fleet = fleet_view(run, &observer);
+    let mut fleet = fleet_view(run, &observer, &console);
     if let Some(fleet) = &mut fleet {
-        console.fill(fleet);
         rates.add(fleet);
         rates.fill(fleet);
     }
@@ -370,9 +367,9 @@ fn check_resources(run: &Run, screen: &mut Screen) -> Result<(), UpError> {
     Ok(())
 }
 
-fn fleet_view(run: &Run, observer: &Observer) -> Option<FleetView> {
+fn fleet_view(run: &Run, observer: &Observer, console: &OperatorConsole) -> Option<FleetView> {
     let view = FleetView::new(observer.stats()?).without_given_transforms(run.config.fleet.starts_known);
-    Some(view.with_edges(observer.merge_edges()))
+    Some(console.fill(view.with_edges(observer.merge_edges())))
 }
 
 /// Returns a folder name that sorts by time, UTC.

@@ -26,9 +26,9 @@ pub struct ZoneArgs {
     #[command(subcommand)]
     pub action: Option<ZoneChange>,
     /// Print the result as JSON
-    #[arg(long)]
+    #[arg(long, global = true)]
     pub json: bool,
-    /// Choice of the running fleet; given before the action.
+    /// Choice of the running fleet.
     #[command(flatten)]
     pub run: RunArgs,
 }
@@ -39,7 +39,7 @@ pub enum ZoneChange {
     /// Keep robots out of a polygon
     Add {
         /// Corners in order in the frame `map`, metres: 3 to 16, such as 1,0 2,0 2,3
-        #[arg(value_name = "X,Y", value_parser = corner, allow_hyphen_values = true, required = true, num_args = 1..)]
+        #[arg(value_name = "X,Y", value_parser = corner, required = true, num_args = 1..)]
         corners: Vec<Corner>,
     },
     /// Let robots into a zone again

@@ -8,7 +8,7 @@ use crate::clock::now;
 use crate::control::{self, LINE_MAX, Reply, Request};
 use crate::run::Run;
 use crate::storage::Storage;
-use ::bridge::Bridge;
+use ::bridge::{Bridge, PeerAddressError, check_peer_address};
 use files::{ControlFiles, FileJob, FileReport, FileWorker};
 use msg::Monotonic;
 use permission_files::PermissionFiles;
@@ -37,6 +37,9 @@ pub enum RequestError {
     /// Too many requests wait for the files.
     #[error("the disk of the run's folder does not answer; try again")]
     DiskBusy,
+    /// No client has the address.
+    #[error(transparent)]
+    Address(#[from] PeerAddressError),
     /// No connection is the one that was named.
     #[error("no such client is connected, see `mr-slam clients`")]
     NoSuchClient,
@@ -129,8 +132,8 @@ impl<W: FileWorker> Control<W> {
     fn apply(&self, request: Request) -> Result<(), RequestError> {
         match request {
             Request::State => {}
-            Request::Allow(address) => self.bridge.allow(address),
-            Request::Deny(address) => self.bridge.deny(address),
+            Request::Allow(address) => self.bridge.allow(check_peer_address(address)?),
+            Request::Deny(address) => self.bridge.deny(check_peer_address(address)?),
             Request::AnswerRoom => self.bridge.answer_room(),
             Request::Stop => self.bridge.stop_robots(),
             Request::Release => self.bridge.release_stop(),

@@ -97,7 +97,7 @@ pub struct RobotArgs {
     pub robot: usize,
     /// Pose to continue from, when the process is started again: `world_from_base` for sim, `map_from_odom` for slam; metres and
     /// radians
-    #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,YAW", value_parser = pose)]
     pub at: Option<Pose2>,
     /// What every child is told.
     #[command(flatten)]

@@ -127,3 +127,22 @@ fn stop_is_latched_in_every_fleet_whether_it_answers_or_not() {
     assert!(!ended.status.success(), "it is neither set nor latched");
     assert!(String::from_utf8_lossy(&ended.stdout).contains("NOT STOPPED"));
 }
+
+#[test]
+fn addresses_that_no_client_has_and_zones_that_cross_are_refused_before_anything_is_asked() {
+    let temporary = Folder::new();
+    let (run, _lock) = pretend_run(&temporary, 1);
+    for (words, wanted) in [
+        (&["allow", "0.0.0.0"][..], "which no client has"),
+        (&["deny", "255.255.255.255"], "which no client has"),
+        (&["up", "--allow", "224.0.0.1", "--port", "0", "--seconds", "1"], "which no client has"),
+        (&["zone", "add", "0,0", "2,2", "2,0", "0,2"], "cross or touch"),
+        (&["zone", "add", "-1,0", "2,2", "-1,0"], "the same point"),
+    ] {
+        let mut tool = mr_slam();
+        tool.args(words).args(["--run-dir", &run]).env("TMPDIR", temporary.path());
+        let ended = tool.env("XDG_RUNTIME_DIR", temporary.path()).output().unwrap();
+        let error = String::from_utf8_lossy(&ended.stderr).into_owned();
+        assert!(!ended.status.success() && error.contains(wanted), "{words:?}: {error}");
+    }
+}

@@ -30,7 +30,7 @@ pub struct BagArgs {
     #[arg(long, value_name = "TOPIC")]
     pub truth_topic: Option<String>,
     /// Pose of the scanner on the robot: metres, metres, radians [default: the transforms of the recording]
-    #[arg(long, value_name = "X,Y,YAW", value_parser = crate::process::pose, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,YAW", value_parser = crate::process::pose)]
     pub scanner: Option<Pose2>,
 }
 

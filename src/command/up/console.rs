@@ -27,18 +27,19 @@ impl<'a> OperatorConsole<'a> {
     }
 
     /// Asks the bridge for its state. If it does not answer, the newest known state stays.
-    pub fn refresh(&mut self) {
+    pub fn refreshed(&mut self) -> &Self {
         match control::ask(self.run, Request::State, PATIENCE) {
             Ok(state) => (self.newest, self.silence) = (Some(state), None),
             Err(why) => self.silence = Some(why.to_string()),
         }
+        self
     }
 
     /// Puts the newest known state of the bridge into the figures, and why it is not the present one.
-    pub fn fill(&self, fleet: &mut FleetView) {
-        fleet.bridge.clone_from(&self.newest);
+    pub fn fill(&self, fleet: FleetView) -> FleetView {
         // A fleet that starts has no bridge yet.
-        fleet.bridge_silence = self.silence.clone().filter(|_| self.newest.is_some());
+        let bridge_silence = self.silence.clone().filter(|_| self.newest.is_some());
+        FleetView { bridge: self.newest.clone(), bridge_silence, ..fleet }
     }
 
     /// Keys that work now, for people.

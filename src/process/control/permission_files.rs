@@ -51,7 +51,10 @@ impl<S: Storage> PermissionFiles<S> {
         match allowed::read(&self.storage, path) {
             Ok((addresses, unsound)) => {
                 unsound.iter().for_each(|line| {
-                    tracing::warn!("{}: `{line}` is not an address and is ignored", path.display())
+                    tracing::warn!(
+                        "{}: `{line}` is not the address of a client and is ignored",
+                        path.display()
+                    )
                 });
                 addresses
             }
