@@ -20,7 +20,7 @@ pub enum CommandSourceKind {
     Navigation = 4,
     /// A command line or the keys at the laptop.
     Laptop = 5,
-    /// The base on another machine, on the robot's own: its navigation or whoever drives there.
+    /// The base on another machine, on the robot's own: its navigation, or a person who drives there.
     Base = 6,
 }
 

@@ -29,7 +29,7 @@ pub enum WorldError {
     /// The robot's transforms put its LiDAR where it cannot map.
     #[error("{robot}: a scan is refused: the transform of its LiDAR `{frame}` {source}")]
     Mount {
-        /// The robot.
+        /// The robot whose scan it is.
         robot: msg::RobotId,
         /// The frame of the scan.
         frame: String,

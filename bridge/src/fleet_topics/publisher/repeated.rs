@@ -31,7 +31,7 @@ impl FleetPublisher {
             Some(frames) => frames.of(robot),
             None => Some((self.names.robot_frame(robot, RobotFrame::Odom), false)),
         };
-        // The merged map's frames are on /tf, whoever reads only that.
+        // The merged map's frames are on /tf for readers of that alone.
         let odom_on_tf = |robot| odom_of(robot).filter(|(_, is_own)| !is_own).map(|(odom, _)| odom);
         if self.count_chains(&repeated.due, odom_on_tf) > 0 {
             sink.send(FleetTopic::Transforms, None, |to| self.write_chains(to, &repeated.due, odom_on_tf));
