@@ -77,8 +77,10 @@ test("two pages and a ros_tcp client contend for a robot: one drives, all know w
   assert.match(client.notices, /is driven by/);
   assert.equal(await driverOf(first, 1), "you");
 
-  // The second page takes it over; the first one holds its key still and is refused now.
+  // The second page takes it over, and holds its key anew; the first one holds its key still and is refused now.
+  await second.keyboard.up("KeyD");
   await second.keyboard.press("KeyT");
+  await second.keyboard.down("KeyD");
   await waitForDriver(second, 1, "^you$");
   await waitForDriver(first, 1, "^127\\.0\\.0\\.1:");
   await waitForText(first, "#hint", "drives this robot. Press T");

@@ -10,6 +10,8 @@ import { PRIMARY_BUTTON, PRIMARY_BUTTONS } from "./pointers.js";
 
 /** The knob of the stick moves so far, in radii of the stick. */
 const KNOB_SHARE = 0.62;
+/** Velocities for which a takeover may take until the bridge's figures name the new driver: 2 s at 20 Hz; they come once a second. */
+const TAKEOVER_TICKS = 40;
 
 /** What driving needs of the page. @typedef {object} Surroundings
  * @property {import("./state.js").Fleet} fleet
@@ -26,6 +28,8 @@ export class Driving {
     this.of = of;
     this.deadMan = new DeadMan();
     this.driver = new Driver();
+    /** Velocities for which somebody else may still be named as the driver of a robot that was taken over. */
+    this.takeoverTicks = 0;
     /** Codes of the keys that are held. @type {Set<string>} */
     this.keys = new Set();
     /** @type {Deflection | null} */
@@ -42,12 +46,36 @@ export class Driving {
     this.deflections = {
       headset: this.of.headset(), stick: this.stick, keys: keyDeflection(this.keys), gamepad: gamepad ? gamepadDeflection(gamepad) : undefined,
     };
-    this.deadMan.observe(this.of.situation(), this.deflections);
+    this.deadMan.observe(this.situation(), this.deflections);
     return this.deflections;
+  }
+
+  /** Returns the situation as the bridge will say it after a takeover that is under way. @returns {Situation} */
+  situation() {
+    const situation = this.of.situation();
+    if (situation.driver === "me" || situation.robot !== this.deadMan.situation.robot) this.takeoverTicks = 0;
+    return this.takeoverTicks > 0 && situation.driver === "other" ? { ...situation, driver: null } : situation;
+  }
+
+  /** Takes that the operator takes the selected robot over: what is pressed from now on drives it. */
+  takeOver() {
+    this.observe();
+    if (this.deadMan.isRefused) this.takeoverTicks = TAKEOVER_TICKS;
+    this.observe();
+  }
+
+  /** Takes that the bridge has refused something. */
+  refuse() {
+    this.takeoverTicks = 0;
+    this.deadMan.refuse();
+    this.observe();
   }
 
   /** Whether the operator holds a key or the stick to drive. */
   get isHeld() { return this.stick !== null || [...this.keys].some(isDriveKey); }
+
+  /** Whether somebody else drives the selected robot, and something is held. */
+  get isRefused() { return this.deadMan.isRefused && Object.values(this.deflections).some((held) => held); }
 
   /** Whether something is held that drives only after it was let go. */
   get isWaiting() { return this.deadMan.isWaiting(this.deflections); }
@@ -56,6 +84,7 @@ export class Driving {
   tick() {
     const { fleet, selected, publish } = this.of;
     const deflection = this.deadMan.pass(this.observe());
+    this.takeoverTicks = Math.max(0, this.takeoverTicks - 1);
     let sent = { linear: 0, angular: 0 };
     for (const { robot: number, forward, left } of this.driver.tick(deflection, selected())) {
       const robot = fleet.robots.get(number);
@@ -87,6 +116,20 @@ export class Driving {
     this.stick = deflection;
     this.observe();
   }
+}
+
+/**
+ * Returns what driving by hand depends on.
+ * @param {import("./state.js").Fleet} fleet @param {import("./state.js").Robot | null} robot the selected one
+ * @param {boolean} isStopAsked @param {boolean} isConnected @returns {Situation}
+ */
+export function situationOf(fleet, robot, isStopAsked, isConnected) {
+  return {
+    isStopped: fleet.isStopped === true || isStopAsked || fleet.figures.is_replay === true,
+    isConnected,
+    robot: robot ? `${fleet.runs} ${robot.number}` : null,
+    driver: !robot?.figures.driver ? null : robot.figures.is_mine ? "me" : "other",
+  };
 }
 
 /** Lets the stick on the screen drive. Returns what releases it. @param {HTMLElement} stick @param {HTMLElement} knob @param {Driving} driving */

@@ -1,12 +1,15 @@
 // The operator's page: connections, controls and panels around one fleet.
 
-import { GoalTool, hasGoal, headingOf } from "./goals.js";
-import { Driving, attachStick } from "./driving.js";
-import { isDriveKey } from "./input.js";
+import { GoalTool, headingOf } from "./goals.js";
+import { Driving, attachStick, situationOf } from "./driving.js";
 import { EdgePanel, writeEdgeCommand } from "./edges.js";
-import { describeExploration, isExploring } from "./exploration.js";
+import { showButtons, showConnection, showExploration } from "./controls.js";
+import { isExploring } from "./exploration.js";
+import { hintText } from "./hint.js";
+import { attachKeys, nextRobot } from "./keys.js";
 import { MapCursor } from "./map_cursor.js";
 import { MapTools } from "./map_tools.js";
+import { MapView } from "./map_view.js";
 import { MeasureTool } from "./measure.js";
 import { ZoneTool } from "./zones.js";
 import { readGrid, writeBool, writeEmpty, writeInt } from "./messages.js";
@@ -40,6 +43,7 @@ const fleet = new Fleet();
 const view = new View(/** @type {HTMLCanvasElement} */ (element("view")));
 /** @type {number | null} */
 let selected = null;
+const mapView = new MapView(view, () => selected, logMessage);
 let panelsDue = 0;
 /** The refusal of a zone that was shown last. @type {string | null} */
 let shownRefusal = null;
@@ -65,7 +69,11 @@ const live = new Connection(url, {
     live.renew();
     beginRun();
   },
-  status: (level, text) => (level === ERROR ? warn(text) : logMessage(text)),
+  status: (level, text) => {
+    if (level === ERROR) driving.refuse();
+    if (level === ERROR) warn(text);
+    else logMessage(text);
+  },
   parameter: (name, value) => {
     if (name !== FLEET_PARAMETER || live.run !== fleet.run) return;
     const { added, gone } = fleet.setFigures(value, now());
@@ -142,13 +150,10 @@ setInterval(() => {
   robotMaps.tick(fleet, now());
 }, TICK_MS);
 
-function showLink() {
-  const link = element("link");
-  setText(link, !live.isOpen ? "no connection" : isAnswering() ? "connected" : "no answer");
-  link.className = `badge ${isAnswering() ? "good" : "bad"}`;
-  const roundTrip = fleet.clock.roundTrip();
-  link.title = roundTrip === null ? "" : `the bridge answered after ${(roundTrip * 1000).toFixed(0)} ms`;
-}
+const showLink = () => showConnection(live.isOpen, isAnswering(), fleet.clock.roundTrip());
+
+/** Returns the robot with a number; null if nobody has it. @param {number | null} number */
+const robotOf = (number) => (number === null ? null : fleet.robots.get(number) ?? null);
 
 /** @param {string} topic @param {DataView} data */
 function receive(topic, data) {
@@ -182,7 +187,7 @@ function removeRobot(robot) {
   for (const topic of ROBOT_TOPICS) live.unsubscribe(robot.prefix + topic);
   robotMaps.forget(robot.number);
   if (selected === robot.number) select(null);
-  showTools();
+  mapView.show();
 }
 
 /** @param {number | null} number */
@@ -191,7 +196,7 @@ function select(number) {
   selected = number;
   driving.observe();
   if (view.followed !== null) view.followed = number;
-  const robot = number === null ? null : fleet.robots.get(number);
+  const robot = robotOf(number);
   const target = element("target");
   setText(target, robot ? `selected: ${robot.number} · ${robot.name}` : "no robot selected");
   element("drive").style.borderColor = robot ? robot.colour : "";
@@ -203,7 +208,7 @@ function goTo(number) {
   const pose = fleet.robots.get(number)?.pose;
   select(number);
   if (!pose) return;
-  setFits(false);
+  mapView.setFits(false);
   view.camera.center = { x: pose.x, y: pose.y };
 }
 
@@ -241,22 +246,11 @@ element("release").addEventListener("click", release);
 const driving = new Driving({
   fleet,
   selected: () => selected,
-  situation,
+  situation: () => situationOf(fleet, robotOf(selected), emergencyStop.isAsked, isAnswering()),
   headset: () => reality.drive(),
   publish: (topic, type, payload) => live.publish(topic, type, payload),
 });
 const releaseStick = attachStick(element("stick"), element("knob"), driving);
-
-/** Returns what driving by hand depends on. @returns {import("./dead_man.js").Situation} */
-function situation() {
-  const robot = selected === null ? null : fleet.robots.get(selected);
-  return {
-    isStopped: fleet.isStopped === true || emergencyStop.isAsked || fleet.figures.is_replay === true,
-    isConnected: isAnswering(),
-    robot: robot ? `${fleet.runs} ${robot.number}` : null,
-    driver: !robot?.figures.driver ? null : robot.figures.is_mine ? "me" : "other",
-  };
-}
 
 function releaseAll() {
   driving.releaseKeys();
@@ -269,7 +263,7 @@ setInterval(() => {
 }, COMMAND_MS);
 
 function takeOver() {
-  if (selected !== null) send("/take_control", "std_msgs/msg/Int32", writeInt(selected));
+  if (selected !== null && send("/take_control", "std_msgs/msg/Int32", writeInt(selected))) driving.takeOver();
 }
 
 element("take-over").addEventListener("click", takeOver);
@@ -279,18 +273,14 @@ element("take-over").addEventListener("click", takeOver);
 const goals = new GoalTool({
   frame: MAP,
   publish: send,
-  robot: () => (selected === null ? null : fleet.robots.get(selected) ?? null),
+  robot: () => robotOf(selected),
   log: logMessage,
   show: (isOn) => showTool("goal", goals, isOn),
 });
 const measure = new MeasureTool((isOn) => showTool("measure", measure, isOn));
 const zones = new ZoneTool({ zones: () => fleet.zones, publish: send, show: (isOn) => showTool("zone", zones, isOn) });
 const tools = new MapTools(view.camera, goals, measure, zones);
-const cursor = new MapCursor(tools, (at) => {
-  view.followed = null;
-  setFits(false);
-  view.camera.center = { ...at };
-});
+const cursor = new MapCursor(tools, (at) => mapView.goTo(at));
 Object.assign(view, { measure, zones, cursor });
 element("goal").addEventListener("click", () => goals.toggle());
 element("measure").addEventListener("click", () => measure.toggle());
@@ -313,88 +303,34 @@ function showTool(name, tool, isOn) {
 element("cancel-goal").addEventListener("click", () => goals.command("cancel"));
 element("resume-goal").addEventListener("click", () => goals.command("resume"));
 
-/** Offers what can be done with the selected robot's goal. */
-function showGoal() {
-  const robot = selected === null ? null : fleet.robots.get(selected);
-  element("cancel-goal").hidden = !robot || !hasGoal(robot);
-  element("resume-goal").hidden = robot?.navigation?.state !== "paused" || fleet.isStopped === true;
-}
-
 // --- Exploration and merge edges ---
 
 element("explore").addEventListener("click", () => {
   send("/explore/resume", "std_msgs/msg/Bool", writeBool(!isExploring(fleet.exploration)));
 });
 
-function showExploration() {
-  element("exploration").hidden = fleet.exploration === null;
-  if (!fleet.exploration) return;
-  setText(element("exploration-state"), describeExploration(fleet.exploration));
-  setText(element("explore"), isExploring(fleet.exploration) ? "Stop exploring" : "Explore");
-}
-
 const edgePanel = new EdgePanel(element("edge-list"), element("edges"), (command, edge) => {
   send("/merge_edge_command", "std_msgs/msg/String", writeEdgeCommand(command, edge));
 });
 
-// --- Keys ---
-
-/** @type {Record<string, () => void>} */
-const KEYS = {
-  KeyT: takeOver,
-  KeyG: () => goals.toggle(),
-  KeyM: () => measure.toggle(),
-  KeyZ: () => zones.toggle(),
-  KeyF: () => setFits(true),
-  KeyC: toggleFollow,
-  Equal: () => zoom(1.25),
-  NumpadAdd: () => zoom(1.25),
-  Minus: () => zoom(0.8),
-  NumpadSubtract: () => zoom(0.8),
-  BracketLeft: () => selectNext(-1),
-  BracketRight: () => selectNext(1),
-};
-
-/** @param {number} step */
-function selectNext(step) {
-  const numbers = [...fleet.robots.keys()].sort((a, b) => a - b);
-  if (numbers.length === 0) return;
-  const place = selected === null ? (step > 0 ? -1 : 0) : numbers.indexOf(selected);
-  select(numbers[(place + step + numbers.length) % numbers.length]);
+function selectNext(/** @type {number} */ step) {
+  const next = nextRobot([...fleet.robots.keys()], selected, step);
+  if (next !== null) select(next);
 }
 
-window.addEventListener("keydown", (event) => {
-  if (event.code === "Escape") {
-    event.preventDefault();
-    if (!event.repeat) stop();
-    return;
-  }
-  // With one of these keys, or a menu, a browser may keep the release of another key to itself.
-  if (event.ctrlKey || event.metaKey || event.altKey) {
-    driving.releaseKeys();
-    return;
-  }
-  if (document.activeElement === view.canvas && cursor.key(event.code, event.shiftKey, event.repeat)) {
-    event.preventDefault();
-    return;
-  }
-  const digit = /^(?:Digit|Numpad)([1-9])$/.exec(event.code);
-  if (isDriveKey(event.code) || event.code.startsWith("Shift")) {
-    driving.press(event.code, event.repeat);
-    if (isDriveKey(event.code)) event.preventDefault();
-  } else if (event.repeat) {
-    return;
-  } else if (digit) {
-    select(Number(digit[1]));
-  } else if (event.code in KEYS) {
-    event.preventDefault();
-    KEYS[event.code]();
-  }
+attachKeys({
+  driving, releaseAll, select, stop,
+  takesKey: (event) => document.activeElement === view.canvas && cursor.key(event.code, event.shiftKey, event.repeat),
+  actions: {
+    KeyT: takeOver,
+    KeyG: () => goals.toggle(),
+    KeyM: () => measure.toggle(),
+    KeyZ: () => zones.toggle(),
+    BracketLeft: () => selectNext(-1),
+    BracketRight: () => selectNext(1),
+    ...mapView.keys,
+  },
 });
-window.addEventListener("keyup", (event) => driving.release(event.code));
-window.addEventListener("blur", releaseAll);
-window.addEventListener("contextmenu", releaseAll);
-document.addEventListener("visibilitychange", () => { if (document.hidden) releaseAll(); });
 
 // --- Mixed reality ---
 
@@ -403,9 +339,10 @@ const reality = new MixedReality({
   selected: () => selected,
   isConnected: isAnswering,
   mustLetGo: () => driving.isWaiting,
+  isRefused: () => driving.isRefused,
   isStopUnconfirmed: () => emergencyStop.isUnconfirmed(now()),
   floorSelected: (point) => {
-    const robot = selected === null ? null : fleet.robots.get(selected);
+    const robot = robotOf(selected);
     if (robot) goals.send(robot, { ...point, yaw: headingOf(point, point, 0, robot.pose) });
   },
 }, (isOn) => { element("reality").setAttribute("aria-pressed", String(isOn)); });
@@ -415,69 +352,22 @@ Object.assign(globalThis, { mixedReality: reality, mapView: view });
 element("reality").addEventListener("click", () => { reality.start(); });
 isMixedRealityOffered().then((isOffered) => { element("reality").hidden = !isOffered; });
 
-// --- View ---
-
-/** @param {boolean} fits */
-function setFits(fits) {
-  view.fits = fits;
-  if (fits) view.followed = null;
-  showTools();
-}
-
-function toggleFollow() {
-  if (selected === null && view.followed === null) {
-    logMessage("select the robot to follow first", true);
-    return;
-  }
-  view.followed = view.followed === null ? selected : null;
-  view.fits = false;
-  showTools();
-}
-
-/** @param {number} factor @param {{x: number, y: number}} [pixel] */
-function zoom(factor, pixel = { x: view.camera.width / 2, y: view.camera.height / 2 }) {
-  view.fits = false;
-  view.camera.zoom(factor, pixel);
-  showTools();
-}
-
-function showTools() {
-  element("fit").setAttribute("aria-pressed", String(view.fits));
-  element("follow").setAttribute("aria-pressed", String(view.followed !== null));
-}
-
-element("fit").addEventListener("click", () => setFits(true));
-element("follow").addEventListener("click", toggleFollow);
-element("zoom-in").addEventListener("click", () => zoom(1.25));
-element("zoom-out").addEventListener("click", () => zoom(0.8));
-
-attachPointers({ view, fleet, tools, select, zoom, show: showTools, log: logMessage });
-
 // --- Drawing ---
+
+attachPointers({ view, fleet, tools, select, zoom: mapView.zoom, show: mapView.show, log: logMessage });
 
 function showHint() {
   const hint = element("hint");
-  const robot = selected === null ? null : fleet.robots.get(selected);
-  let text = "";
+  const figures = robotOf(selected)?.figures;
   const isReplay = fleet.figures.is_replay === true;
   document.body.classList.toggle("replay", isReplay);
-  if (isReplay && live.isOpen) text = "Replay of a recording: nothing drives. The keys in its terminal pause it and change its speed.";
-  else if (!live.isOpen) text = "No connection to the bridge: you drive nothing. Robots with goals drive on. Trying again …";
-  else if (!isAnswering()) text = "The bridge does not answer: you drive nothing, robots with goals drive on. What is shown is old.";
-  else if (emergencyStop.isUnconfirmed(now())) text = "The emergency stop is not confirmed. It is sent again whenever the connection comes back.";
-  else if (fleet.isStopped) text = "Emergency stop is set. Release it at the top to drive on.";
-  else if (selected === null && fleet.robots.size > 1 && driving.driver.driven === null && driving.isHeld) text = "Select a robot first.";
-  else if (robot?.figures.driver && !robot.figures.is_mine && driving.isHeld) text = `${robot.figures.driver} drives this robot. Press T to take it over.`;
-  else if (driving.isWaiting) text = "Let go of the key, the stick or the grip, and hold it again to drive.";
-  else text = cursor.describe();
+  const text = hintText({
+    isReplay, isOpen: live.isOpen, isAnswering: isAnswering(), isStopUnconfirmed: emergencyStop.isUnconfirmed(now()), isStopped: fleet.isStopped === true,
+    mustSelect: selected === null && fleet.robots.size > 1 && driving.driver.driven === null, isHeld: driving.isHeld,
+    otherDriver: figures?.driver && !figures.is_mine ? figures.driver : null, mustLetGo: driving.isWaiting, cursor: cursor.describe(),
+  });
   hint.hidden = text === "";
   setText(hint, text);
-}
-
-/** Offers to take the selected robot over while somebody else drives it. */
-function showTakeOver() {
-  const figures = selected === null ? null : fleet.robots.get(selected)?.figures;
-  element("take-over").hidden = !figures?.driver || figures.is_mine;
 }
 
 function frame() {
@@ -493,12 +383,11 @@ function frame() {
     fleetPanel.update(fleet, time);
     attention.update(fleet.attention(time, isAnswering()), fleet);
     edgePanel.update(fleet.edges);
-    showExploration();
+    showExploration(fleet.exploration);
     showLink();
     showHint();
-    showTakeOver();
-    showGoal();
+    showButtons(robotOf(selected), fleet.isStopped === true);
   }
 }
 requestAnimationFrame(frame);
-showTools();
+mapView.show();

@@ -1,12 +1,13 @@
 // Mixed reality: the fleet on the real floor, its panels in the room, and the operator's hands.
 
-import { alignMap, floorHit, pointFromXr, pointToXr, poseFromXr, xrFromFrame } from "./coordinates.js";
+import { alignMap, pointFromXr, pointToXr, poseFromXr, xrFromFrame } from "./coordinates.js";
 import { compose, invert, transform } from "./geometry.js";
 import { facing, multiply, rotationAboutY, transformDirection, transformPoint, translation } from "./matrix.js";
-import { BURGER_HEIGHT_M } from "./models.js";
 import { KeptAnchor } from "./xr_anchors.js";
-import { Controls, isDrivingHand, pulse, rayOf } from "./xr_input.js";
+import { FeltChanges } from "./xr_felt.js";
+import { Controls, isDrivingHand, rayOf } from "./xr_input.js";
 import { FleetPanel, RobotPanel } from "./xr_panels.js";
+import { RAY_M, panelAt, planeAt, pointOn, robotAt } from "./xr_pointing.js";
 import { RoomSender } from "./xr_room.js";
 import { Scene, channels } from "./xr_scene.js";
 import { XrSession, requestSession } from "./xr_session.js";
@@ -25,7 +26,8 @@ import { RobotView, tablePlacement } from "./xr_views.js";
  * @property {Fleet} fleet @property {() => number | null} selected @property {(number: number | null) => void} select
  * @property {(step: number) => void} selectNext @property {() => void} stop @property {() => void} release
  * @property {() => void} takeOver @property {() => boolean} isConnected
- * @property {() => boolean} isStopUnconfirmed @property {() => boolean} mustLetGo whether what is held drives only after it was let go @property {(text: string, isError?: boolean) => void} log
+ * @property {() => boolean} isStopUnconfirmed @property {() => boolean} mustLetGo whether what is held drives only after it was let go
+ * @property {() => boolean} isRefused whether something is held and somebody else drives the robot @property {(text: string, isError?: boolean) => void} log
  * @property {() => number} now seconds
  * @property {(point: {x: number, y: number}) => void} floorSelected a point of `map` was pointed at: for goals
  */
@@ -36,18 +38,8 @@ const RESTORE_MS = 3000;
 const PANEL_S = 0.25;
 /** Where panels stand at first, seen from the viewer: metres ahead, to the left, below the eyes. */
 const PANEL_AT = { ahead: 1.25, left: 0.55, below: 0.1 };
-/** A ray selects a robot if it passes so near, metres, and this share of its distance more. */
-const PICK_M = 0.16;
-const PICK_SHARE = 0.015;
-/** Length of a ray that meets nothing, metres. */
-const RAY_M = 3;
 /** Time for which the fleet's panel shows what has failed, seconds. */
 const WARNING_S = 6;
-/** Ranks of attention up to which a new item is an alarm. */
-const ALARM_RANK = 3;
-/** Strength and length of the controllers' pulses, ms. */
-const STOP_PULSE = /** @type {const} */ ([1, 400]);
-const ALARM_PULSE = /** @type {const} */ ([0.5, 150]);
 
 /** Mixed reality of one page. */
 export class MixedReality {
@@ -80,11 +72,9 @@ export class MixedReality {
     /** @type {Pointer[]} */
     this.pointers = [];
     this.panelsDue = 0;
-    this.wasStopped = false;
     /** The run that is shown, as the fleet counts them. */
     this.run = operator.fleet.runs;
-    /** @type {Set<string>} */
-    this.alarms = new Set();
+    this.felt = new FeltChanges();
   }
 
   /** Begins a session. */
@@ -150,7 +140,7 @@ export class MixedReality {
     scene.update(fleet, now);
     this.updatePanels(frame, eye, gaze, now);
     this.pointers = this.controls.rays.map((ray) => this.pointerOf(ray));
-    this.pulseOnChanges(now);
+    this.felt.update(xr.session, fleet.isStopped === true, fleet.attention(now, this.operator.isConnected()));
   }
 
   /** Forgets what was begun with a run that has ended, and the robots that the fleet no longer has. */
@@ -234,6 +224,7 @@ export class MixedReality {
     if (!isConnected) return "no connection: you drive nothing, robots with goals drive on";
     if (this.alignment) return this.alignment.place ? `point straight ahead of ${this.alignment.name}` : `point where ${this.alignment.name} stands`;
     if (this.operator.fleet.isStopped) return "emergency stop is set";
+    if (this.operator.isRefused()) return "somebody else drives this robot: take it over";
     if (this.operator.mustLetGo()) return "let go, and hold again to drive";
     if (this.warning && this.operator.now() < this.warning.until) return this.warning.text;
     return this.notice || "connected";
@@ -256,64 +247,25 @@ export class MixedReality {
     ];
   }
 
-  /** Lets the controllers vibrate when the stop is set, and when something needs attention. */
-  pulseOnChanges(/** @type {number} */ now) {
-    const { xr, operator } = this;
-    if (!xr) return;
-    const isStopped = operator.fleet.isStopped === true;
-    if (isStopped && !this.wasStopped) pulse(xr.session, ...STOP_PULSE);
-    this.wasStopped = isStopped;
-    const items = operator.fleet.attention(now, operator.isConnected()).filter(({ rank }) => rank <= ALARM_RANK);
-    const alarms = new Set(items.map(({ key }) => key));
-    if ([...alarms].some((alarm) => !this.alarms.has(alarm))) pulse(xr.session, ...ALARM_PULSE);
-    this.alarms = alarms;
-  }
-
   // --- Pointing ---
 
-  /** Returns the robot that a ray passes, the nearest to it. @param {Ray} ray @returns {{robot: Robot, at: Vector} | null} */
-  robotAt({ origin, direction }) {
-    if (!this.xrFromMap) return null;
-    let best = null;
-    let least = Infinity;
-    for (const robot of this.operator.fleet.robots.values()) {
-      if (!robot.pose) continue;
-      const at = transformPoint(this.xrFromMap, [robot.pose.x, robot.pose.y, BURGER_HEIGHT_M / 2]);
-      const to = at.map((value, i) => value - origin[i]);
-      const along = to[0] * direction[0] + to[1] * direction[1] + to[2] * direction[2];
-      const beside = Math.sqrt(Math.max(0, to[0] ** 2 + to[1] ** 2 + to[2] ** 2 - along ** 2));
-      if (along <= 0 || beside > PICK_M * Math.max(0.3, this.shown.scale) + PICK_SHARE * along || beside >= least) continue;
-      [best, least] = [{ robot, at }, beside];
-    }
-    return best;
-  }
+  /** Returns the robot that a ray passes, the nearest to it. @param {Ray} ray */
+  robotAt(ray) { return this.xrFromMap ? robotAt(ray, this.operator.fleet.robots.values(), this.xrFromMap, this.shown.scale) : null; }
 
   /** Returns the panel that a ray meets first, and where. @param {Ray} ray */
-  panelAt({ origin, direction }) {
-    const hits = this.panels().flatMap((panel) => {
-      const hit = panel.hit(origin, direction);
-      return hit ? [{ panel, hit }] : [];
-    });
-    return hits.sort((a, b) => a.hit.distance - b.hit.distance)[0] ?? null;
-  }
+  panelAt(ray) { return panelAt(ray, this.panels()); }
 
   /** Returns where a ray meets the plane of the map, in WebXR. @param {Ray} ray @returns {Vector | null} */
-  planeAt({ origin, direction }) {
-    const { height } = this.alignment ? this.placement : this.shown;
-    const hit = floorHit([origin[0], origin[1] - height, origin[2]], direction);
-    return hit && [hit[0], height, hit[2]];
-  }
+  planeAt(ray) { return planeAt(ray, (this.alignment ? this.placement : this.shown).height); }
 
   /** Returns what a ray points at, to be drawn. @param {Ray} ray @returns {Pointer} */
   pointerOf(ray) {
-    const { origin, direction } = ray;
-    const along = (/** @type {number} */ length) => /** @type {Vector} */ (origin.map((value, i) => value + length * direction[i]));
     const panel = this.panelAt(ray);
-    if (panel) return { ...ray, end: along(panel.hit.distance), isOnFloor: false };
+    if (panel) return { ...ray, end: pointOn(ray, panel.hit.distance), isOnFloor: false };
     const robot = this.alignment ? null : this.robotAt(ray);
     if (robot) return { ...ray, end: robot.at, isOnFloor: false };
     const floor = this.planeAt(ray);
-    return { ...ray, end: floor ?? along(RAY_M), isOnFloor: floor !== null };
+    return { ...ray, end: floor ?? pointOn(ray, RAY_M), isOnFloor: floor !== null };
   }
 
   /** A trigger was pulled, or fingers pinched. @param {Ray} ray @param {any} frame */

@@ -30,6 +30,7 @@ const EVENTS = {
   "the selection of another robot": [{ ...FREE, robot: "1 2" }],
   "another run": [{ ...FREE, robot: null }],
   "another driver": [{ ...FREE, driver: "me" }, { ...FREE, driver: "other" }],
+  "a driver that was there before": [{ ...FREE, driver: "other" }],
 };
 
 for (const [name, situations] of Object.entries(EVENTS)) {
@@ -81,12 +82,29 @@ test("a device that must be let go keeps no other one from driving", () => {
   assert.deepEqual(drive(deadMan, { ...FREE, robot: "1 2" }, both), { forward: -1, left: 0 });
 });
 
-test("a robot that somebody else drives is tried, and one that was taken over drives at once", () => {
-  const deadMan = released({ ...FREE, driver: "other" });
-  assert.deepEqual(drive(deadMan, { ...FREE, driver: "other" }, only("keys")), FULL, "the bridge refuses it, and says so");
-  assert.deepEqual(drive(deadMan, { ...FREE, driver: "me" }, only("keys")), FULL);
-  assert.deepEqual(drive(deadMan, FREE, only("keys")), FULL, "a lease that has ended is no other driver");
-  assert.equal(drive(deadMan, { ...FREE, driver: "other" }, only("keys")), null);
+test("what is held while somebody else drives does not drive when the lease ends, or after a takeover, until it was let go", () => {
+  for (const device of DEVICES) for (const next of [null, "me"]) {
+    const deadMan = released({ ...FREE, driver: "other" });
+    assert.equal(drive(deadMan, { ...FREE, driver: "other" }, only(device)), null, "nothing is sent");
+    assert.equal(deadMan.isRefused, true);
+    for (let i = 0; i < 3; i += 1) assert.equal(drive(deadMan, { ...FREE, driver: next }, only(device)), null, `${device}, ${next}`);
+    assert.equal(deadMan.isWaiting(only(device)), true);
+    drive(deadMan, { ...FREE, driver: next }, none());
+    assert.deepEqual(drive(deadMan, { ...FREE, driver: next }, only(device)), FULL);
+  }
+});
+
+test("what the bridge refuses must be let go, and a refusal of something else stops nobody who drives", () => {
+  for (const device of DEVICES) {
+    const deadMan = released();
+    assert.deepEqual(drive(deadMan, FREE, only(device)), FULL, "that somebody else drives is not known yet");
+    deadMan.refuse();
+    for (let i = 0; i < 3; i += 1) assert.equal(drive(deadMan, FREE, only(device)), null, device);
+    drive(deadMan, FREE, none());
+    drive(deadMan, { ...FREE, driver: "me" }, only(device));
+    deadMan.refuse();
+    assert.deepEqual(drive(deadMan, { ...FREE, driver: "me" }, only(device)), FULL, "such as a zone");
+  }
 });
 
 /** A generator of numbers from 0 to 1 (mulberry32). */
@@ -120,13 +138,16 @@ test("whatever the order of events, a deflection drives only if its device was a
     const deadMan = new DeadMan();
     const [situation, deflections] = [{ ...FREE }, none()];
     // The devices that were at rest, by the definition: forgotten at each event.
-    const [rested, before] = [new Set(), { robot: null, mine: false }];
+    const [rested, before] = [new Set(), { robot: null }];
     for (let step = 0; step < 200; step += 1) {
       change(random, situation, deflections);
-      const isBlocked = situation.isStopped || !situation.isConnected || situation.robot === null;
+      const isBlocked = situation.isStopped || !situation.isConnected || situation.robot === null || situation.driver === "other";
       const isOther = before.robot !== situation.robot;
-      if (isBlocked || isOther || (before.mine && situation.driver === "other")) rested.clear();
-      before.mine = situation.driver === "me" || (situation.driver === null && !isOther && before.mine);
+      if (isBlocked || isOther) rested.clear();
+      if (random() < 0.05) {
+        deadMan.refuse();
+        if (deadMan.situation.driver !== "me") rested.clear();
+      }
       before.robot = situation.robot;
       for (const device of DEVICES) {
         const held = deflections[device];

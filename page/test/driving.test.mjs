@@ -10,7 +10,7 @@ const HELD_PAD = { axes: [0, -1], buttons: Array.from({ length: 8 }, () => ({ pr
 
 /** Driving of one robot in a browser of the test's: with or without a connection, focus and a gamepad. */
 function page() {
-  const state = { isConnected: true, isStopped: false, hasFocus: true, pad: null, headset: null };
+  const state = { isConnected: true, isStopped: false, driver: null, hasFocus: true, pad: null, headset: null };
   Object.defineProperty(globalThis, "document", { value: { hasFocus: () => state.hasFocus }, configurable: true });
   Object.defineProperty(globalThis, "navigator", { value: { getGamepads: () => [state.pad] }, configurable: true });
   const fleet = new Fleet();
@@ -19,7 +19,7 @@ function page() {
   const sent = [];
   const driving = new Driving({
     fleet, selected: () => 1, headset: () => state.headset,
-    situation: () => ({ isStopped: state.isStopped, isConnected: true, robot: "1 1", driver: null }),
+    situation: () => ({ isStopped: state.isStopped, isConnected: true, robot: "1 1", driver: state.driver }),
     publish: (topic, _type, payload) => {
       const view = new DataView(payload.buffer, payload.byteOffset);
       if (state.isConnected) sent.push([topic, view.getFloat64(4, true), view.getFloat64(4 + 40, true)]);
@@ -93,4 +93,52 @@ test("a gamepad that is held while the window has no focus, or when it is found,
   driving.tick();
   state.pad = HELD_PAD;
   assert.equal(driving.tick().linear, 0.15);
+});
+
+test("a key that was held while somebody else drove drives nothing when the lease ends", () => {
+  const { state, driving, sent } = page();
+  state.driver = "other";
+  driving.press("KeyW", false);
+  assert.deepEqual([driving.tick().linear, driving.isRefused, driving.isWaiting], [0, true, false]);
+  assert.equal(sent.length, 0, "nothing is tried that could be taken when the lease ends");
+  state.driver = null;
+  for (let i = 0; i < 100; i += 1) assert.equal(driving.tick().linear, 0);
+  assert.equal(driving.isWaiting, true);
+  driving.release("KeyW");
+  driving.press("KeyW", false);
+  assert.equal(driving.tick().linear > 0, true);
+});
+
+test("after a takeover a new press drives before the bridge names the new driver, but not for ever", () => {
+  const { state, driving } = page();
+  state.driver = "other";
+  driving.press("KeyD", false);
+  driving.tick();
+  driving.takeOver();
+  assert.equal(driving.tick().angular, 0, "it was held before");
+  driving.release("KeyD");
+  driving.press("KeyW", false);
+  assert.ok(driving.tick().linear > 0);
+  // The bridge names nobody else meanwhile: the takeover came to nothing.
+  for (let i = 0; i < 60; i += 1) driving.tick();
+  assert.equal(driving.tick().linear, 0);
+  state.driver = null;
+  assert.equal(driving.tick().linear, 0);
+});
+
+test("a refusal ends a takeover, and a takeover that succeeded is over", () => {
+  const { state, driving } = page();
+  state.driver = "other";
+  driving.takeOver();
+  driving.press("KeyW", false);
+  assert.ok(driving.tick().linear > 0);
+  driving.refuse();
+  assert.equal(driving.tick().linear, 0);
+  driving.release("KeyW");
+  driving.takeOver();
+  driving.press("KeyW", false);
+  state.driver = "me";
+  assert.ok(driving.tick().linear > 0);
+  state.driver = "other";
+  assert.equal(driving.tick().linear, 0, "somebody has taken it back");
 });
