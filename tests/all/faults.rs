@@ -11,6 +11,7 @@
 //! - a simulator that was stopped followed commands that were out of date;
 //! - a front end that began where `odom` lay took its first scan without odometry and was in a wrong frame;
 //! - a pose by odometry alone jumped when the robot's driver was started again, while SLAM was paused;
+//! - a map that was reset while its robot's driver was started again was in the frame of the old driver's `odom`;
 //! - the pose of `odom` that the launcher passes on was that of a simulator that had been started again since;
 //! - SLAM that was restored from a session older than the last start of its robot's driver took the robot to have
 //!   stood in between, and was sure of a wrong heading: it is lost now, and relocalizes the robot.
@@ -296,6 +297,15 @@ fn a_bridge_that_is_stopped_is_replaced_and_robots_stand_meanwhile() {
 fn a_paused_robots_pose_is_right_though_its_driver_is_started_again() {
     let faults = FaultPlan::none().with(second(8.0), Fault::Pause(0, Duration::from_secs(3)));
     assert_survives(faults.with(second(9.0), Fault::Kill(SIM_1)), 14);
+}
+
+#[test]
+fn a_map_begun_anew_while_the_driver_is_started_again_is_in_the_same_frame() {
+    // The reset comes before the new driver's first odometry, and the first scan after it.
+    for after_s in [0.0, 0.1, 0.2] {
+        let faults = FaultPlan::none().with(second(8.0), Fault::Kill(SIM_1));
+        assert_survives(faults.with(second(8.0 + after_s), Fault::ResetMap(0)), 14);
+    }
 }
 
 #[test]

@@ -179,17 +179,24 @@ impl FrontEndRunner {
 
     fn add_odometry(&mut self, odometry: &Odometry) {
         let before = self.odometry.replace(*odometry);
-        let restarted = before.filter(|before| before.header.incarnation != odometry.header.incarnation);
-        if let (Some(before), Some(last)) = (restarted, &mut self.last)
-            && last.map_from_odom().is_some()
+        if let Some(before) = before.filter(|before| before.header.incarnation != odometry.header.incarnation)
         {
             // The restarted driver counts odometry from a new origin; the robot stood meanwhile.
-            let odom_from_new_odom = before.odom_from_base * odometry.odom_from_base.inverse();
-            last.map_from_odom = last.map_from_odom * odom_from_new_odom;
+            self.move_odom_origin(before.odom_from_base * odometry.odom_from_base.inverse());
         }
         self.front.add_odometry(odometry);
         if self.front.take_unknown_motion() {
             self.trajectory_start = Some(TrajectoryStart::Unknown);
+        }
+    }
+
+    /// Follows an origin of odometry that a restarted driver has set anew, in each pose of `odom` that is kept.
+    fn move_odom_origin(&mut self, odom_from_new_odom: Pose2) {
+        if let Some(map_from_odom) = &mut self.restart_map_from_odom {
+            *map_from_odom = *map_from_odom * odom_from_new_odom;
+        }
+        if let Some(last) = self.last.as_mut().filter(|last| last.map_from_odom().is_some()) {
+            last.map_from_odom = last.map_from_odom * odom_from_new_odom;
         }
     }
 
