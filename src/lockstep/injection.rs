@@ -73,7 +73,8 @@ impl Lockstep {
             Fault::Kill(chosen) => self.kill(self.member_index(chosen)),
             Fault::Freeze(chosen, duration) => {
                 let index = self.member_index(chosen);
-                self.members[index].frozen_until = now + duration;
+                let from = self.members[index].ran_until(now);
+                (self.members[index].frozen_from, self.members[index].frozen_until) = (from, now + duration);
             }
             Fault::ClockStep(duration) => self.world.network.clock().set(now + duration),
             Fault::LetGo(duration) => self.people.operator.idle_until = now + duration,
@@ -111,8 +112,8 @@ impl Lockstep {
         self.observer.poll();
         self.record_saved_map(index);
         if let Some(process) = self.members[index].bridge() {
-            // A full disk keeps the selection from outliving the bridge.
-            let is_full = self.world.network.faults().is_disk_full(now);
+            // A disk that was full while the bridge ran keeps the selection from outliving it.
+            let is_full = self.world.network.faults().is_disk_full(self.members[index].ran_until(now));
             self.selected = (!is_full).then(|| process.bridge.selected_robot());
             self.world.network.record_event("bridge_died");
         }

@@ -58,6 +58,8 @@ pub struct Member {
     pub policy: RestartPolicy,
     /// It is stopped until then.
     pub frozen_until: Monotonic,
+    /// When it was stopped last.
+    pub frozen_from: Monotonic,
     /// Moment before which a killed process is not back, though it is started at once.
     back_at: Monotonic,
     /// Its threads, while it runs.
@@ -97,6 +99,11 @@ pub struct SlamBody {
 }
 
 impl Member {
+    /// Until when it has run: until now, or until it was stopped.
+    pub fn ran_until(&self, now: Monotonic) -> Monotonic {
+        if self.frozen_until > now { self.frozen_from } else { now }
+    }
+
     /// Creates a process that is to be started now.
     pub fn new(row: &'static ProcessRow, robot: Option<RobotId>) -> Self {
         Self {
@@ -104,6 +111,7 @@ impl Member {
             robot,
             policy: RestartPolicy::new(Monotonic(0)),
             frozen_until: Monotonic(0),
+            frozen_from: Monotonic(0),
             back_at: Monotonic(0),
             threads: Vec::new(),
             body: None,

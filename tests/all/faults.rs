@@ -20,12 +20,13 @@
 //! - the emergency stop was not saved again after a full disk had refused it once;
 //! - the selected robot was not saved again for 0.2 s after a full disk had refused it.
 //!
-//! Open: SLAM is sure of a wrong heading in 1 of the first 100 seeds (21).
+//! Open: of 400 seeds one (234) begins its map anew. SLAM is killed there after 7 nodes and knows no more where the robot
+//! is; the 8 nodes after that are the larger component, and thus the map, although they show less floor.
 
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
 use mr_slam::lockstep::faults::{BRIDGE, Fault, FaultPlan};
-use mr_slam::lockstep::invariants::{WRONG_POSE, check, quiet_from};
+use mr_slam::lockstep::invariants::{check, quiet_from};
 use msg::{GridView, Monotonic};
 use reports::FleetView;
 use std::collections::HashSet;
@@ -37,8 +38,6 @@ const SEEDS_VARIABLE: &str = "MR_SLAM_FAULT_SEEDS";
 const SEEDS: u64 = 100;
 /// Two rooms beside a corridor.
 const TWO_ROOMS: &str = "tests/rooms/two_rooms.obj";
-/// In at most this share of the runs a robot is sure of a wrong pose: see what is open above. It was 1 of 100 runs.
-const WRONG_POSE_SHARE_MAX: f64 = 0.03;
 /// Virtual seconds of each run.
 const SECONDS: u32 = 14;
 
@@ -115,16 +114,7 @@ fn invariants_hold_for_every_seed() {
         let threads: Vec<_> = (0..threads).map(|_| scope.spawn(run_seeds)).collect();
         threads.into_iter().flat_map(|thread| thread.join().unwrap()).collect()
     });
-    let is_wrong_pose =
-        |(_, found): &(String, Vec<String>)| found.iter().all(|text| text.contains(WRONG_POSE));
-    let (wrong_poses, failed): (Vec<_>, Vec<_>) = violations.into_iter().partition(is_wrong_pose);
-    assert!(failed.is_empty(), "{} of {seeds} seeds: {failed:#?}", failed.len());
-    let wrong_max = WRONG_POSE_SHARE_MAX * seeds as f64;
-    assert!(
-        wrong_poses.len() as f64 <= wrong_max,
-        "wrong poses in {} runs: {wrong_poses:#?}",
-        wrong_poses.len()
-    );
+    assert!(violations.is_empty(), "{} of {seeds} seeds: {violations:#?}", violations.len());
 }
 
 #[test]
