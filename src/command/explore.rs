@@ -5,6 +5,7 @@ use super::first_states::FirstStates;
 use super::output;
 use super::run_args::RunArgs;
 use super::up::FleetHooks;
+use super::waiting::{WaitError, Waiting};
 use crate::channel::{self, Opener, Program};
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
@@ -15,11 +16,8 @@ use msg::{
     RobotId,
 };
 use serde::Serialize;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Longest time without an answer of the navigator: its start after a death takes less.
-const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest time without an answer to the stop after Ctrl-C.
 const STOP_PATIENCE: Duration = Duration::from_secs(1);
 /// Period at which the state is looked at, nanoseconds.
@@ -64,12 +62,9 @@ pub enum ExploreError {
     /// Shared memory of the run.
     #[error(transparent)]
     Channel(#[from] ChannelError),
-    /// The navigator did not answer.
-    #[error("run {}: navigation does not answer within {PATIENCE:?}; see `mr-slam status`", run.display())]
-    Silent {
-        /// Folder of the run.
-        run: PathBuf,
-    },
+    /// The fleet has ended, or navigation does not answer.
+    #[error(transparent)]
+    Wait(#[from] WaitError),
     /// Ctrl-C before navigation has answered.
     #[error("interrupted before navigation has answered")]
     Interrupted,
@@ -182,7 +177,6 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
     let node = Participant::open(&run.domain, Opener::of_fleet(Program::ExploreTool), "explore")?;
     let mut states = node.reader(&channel::exploration_state())?;
     let mut commands = node.writer(&channel::explore())?;
-    let begun = Instant::now();
     let number = match args.action {
         ExploreAction::Status => 0,
         _ => crate::clock::now().0,
@@ -195,7 +189,10 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
     let is_start = args.action == ExploreAction::Start;
     let mut progress = Progress::default();
     let mut first = FirstStates::new();
+    let mut waiting = Waiting::new(Instant::now(), "how far the exploration came is not known".into());
     loop {
+        // Asked first: what a fleet says before it ends counts.
+        let is_alive = run.is_alive();
         if args.action != ExploreAction::Status {
             // A navigator that starts again needs the command once more.
             commands.refresh();
@@ -206,6 +203,7 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
                 continue;
             }
             first.add(report);
+            waiting.hear(Instant::now());
             let status = report.status();
             if !is_start || status.is_final() || status == ExplorationStatus::Paused {
                 return Ok(report);
@@ -221,9 +219,7 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
         {
             return Ok(report);
         }
-        if !first.have_begun() && begun.elapsed() > PATIENCE {
-            return Err(ExploreError::Silent { run: run.dir.clone() });
-        }
+        waiting.check(run, is_alive, Instant::now())?;
         if stop.requested() {
             return Err(match args.action {
                 ExploreAction::Start => interrupt(&mut states, &mut commands),

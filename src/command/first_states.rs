@@ -24,11 +24,6 @@ impl<S: Copy> FirstStates<S> {
         self.begun.get_or_insert_with(Instant::now);
     }
 
-    /// Returns whether a state has come.
-    pub(super) fn have_begun(&self) -> bool {
-        self.begun.is_some()
-    }
-
     /// Returns the newest state when half a second has passed since the first one.
     pub(super) fn outcome(&self) -> Option<S> {
         self.newest.filter(|_| self.begun.is_some_and(|begun| begun.elapsed() > SHOWN_AFTER))

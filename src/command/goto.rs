@@ -5,6 +5,7 @@ use super::edges::robot;
 use super::first_states::FirstStates;
 use super::output;
 use super::run_args::RunArgs;
+use super::waiting::{WaitError, Waiting};
 use crate::channel::{self, Opener, Program};
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
@@ -19,8 +20,6 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Longest time without an answer of the navigator to a goal: its start after a death takes less.
-const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest time without an answer to a cancellation after Ctrl-C.
 const CANCEL_PATIENCE: Duration = Duration::from_secs(1);
 /// Period at which the state is looked at, nanoseconds.
@@ -88,12 +87,9 @@ pub enum GotoError {
         /// Number of robots.
         robots: usize,
     },
-    /// The navigator did not answer.
-    #[error("run {}: navigation does not answer within {PATIENCE:?}; see `mr-slam status`", run.display())]
-    Silent {
-        /// Folder of the run.
-        run: PathBuf,
-    },
+    /// The fleet has ended, or navigation does not answer.
+    #[error(transparent)]
+    Wait(#[from] WaitError),
     /// The robot did not arrive.
     #[error("{robot} {state}{}{reason}", if reason.is_empty() { "" } else { ": " })]
     NotReached {
@@ -178,14 +174,19 @@ fn exchange(
         }
     };
     commands.send(&NavigationCommand { sender: CommandSource::LAPTOP, ..command });
-    let (begun, mut shown, mut has_answer) = (Instant::now(), String::new(), false);
+    let (what, mut shown) =
+        (if args.cancel { "its goal is cancelled" } else { "it has arrived" }, String::new());
+    let mut waiting = Waiting::new(Instant::now(), format!("{}: whether {what} is not known", args.robot));
     let mut first = FirstStates::new();
     loop {
         // A navigator that starts again needs the command once more.
         commands.refresh();
-        while let Some(report) = states.receive() {
-            let report = *report;
-            has_answer |= report.number >= number;
+        // Asked first: what a fleet says before it ends counts.
+        let is_alive = run.is_alive();
+        while let Some(report) = states.receive().map(|report| *report) {
+            if report.number >= number {
+                waiting.hear(Instant::now());
+            }
             let is_over = report.status().is_final();
             if args.cancel && (is_over || report.status() == NavigationStatus::Idle) {
                 return Ok(report);
@@ -209,9 +210,7 @@ fn exchange(
         {
             return Ok(report);
         }
-        if !has_answer && begun.elapsed() > PATIENCE {
-            return Err(GotoError::Silent { run: run.dir.clone() });
-        }
+        waiting.check(run, is_alive, Instant::now())?;
         if stop.requested() {
             let (state, reason) = ("was stopped", cancel(states, commands));
             return Err(GotoError::NotReached { robot: args.robot, state, reason: reason.into() });

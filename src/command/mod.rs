@@ -26,6 +26,7 @@ pub mod run_args;
 pub mod slam;
 pub mod status;
 pub mod up;
+mod waiting;
 pub mod worker;
 pub mod zone;
 

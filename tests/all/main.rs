@@ -10,6 +10,7 @@ mod config;
 mod default_config;
 mod edges;
 mod emergency_stop;
+mod ended_fleet;
 mod evidence;
 mod experiment;
 mod exploration;
