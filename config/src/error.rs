@@ -106,6 +106,18 @@ pub enum ValueError {
     /// A value of the bridge.
     #[error(transparent)]
     Bridge(#[from] bridge::ConfigError),
+    /// Limits of a robot that the fleet does not have.
+    #[error(
+        "bridge.velocity.robots[{index}].robot is {robot}; expected a robot of this fleet, 1 to {robots} (fleet.robots)"
+    )]
+    LimitsOfNoRobot {
+        /// Place in the list, from 0.
+        index: usize,
+        /// Number of the robot, as the file has it.
+        robot: usize,
+        /// Number of robots.
+        robots: usize,
+    },
     /// A value of ROS 2's environment variables.
     #[error(transparent)]
     Discovery(#[from] bridge::dds::DiscoveryError),
@@ -139,6 +151,7 @@ impl ValueError {
             Self::Link(why) => format!("link.{}", why.key()),
             Self::Merge(why) => format!("merge.{}", why.key),
             Self::Bridge(why) => format!("bridge.{}", why.key),
+            Self::LimitsOfNoRobot { index, .. } => format!("bridge.velocity.robots[{index}].robot"),
             Self::Discovery(_) => "bridge.dds".into(),
             Self::Realtime(why) => format!("realtime.{}", why.key()),
         }

@@ -255,9 +255,22 @@ impl FleetConfig {
         self.sessions.validate()?;
         self.merge.validate()?;
         self.bridge.validate()?;
+        self.check_robots_of_limits()?;
         self.recording.validate()?;
         self.link.validate()?;
         Ok(self.realtime.validate()?)
+    }
+
+    /// Refuses limits of a robot that the fleet does not have: the one that is meant would keep the fleet's.
+    fn check_robots_of_limits(&self) -> Result<(), ValueError> {
+        let robots = self.fleet.robots;
+        match self.bridge.velocity.robots.iter().position(|limits| limits.robot > robots) {
+            Some(index) => {
+                let robot = self.bridge.velocity.robots[index].robot;
+                Err(ValueError::LimitsOfNoRobot { index, robot, robots })
+            }
+            None => Ok(()),
+        }
     }
 
     /// Returns every process of the fleet with its row of the table, in the order in which they are started.

@@ -164,6 +164,15 @@ fn a_value_out_of_range_is_named_with_its_line_its_key_and_what_is_expected() {
             "fleet.toml:4: bridge.velocity.robots[1].linear_m_s is 99; expected above 0",
         ),
         (
+            "[fleet]\nrobots = 2\n[bridge.velocity]\nrobots = [\n  { robot = 3, linear_m_s = 1, angular_rad_s = 1 },\n]",
+            "fleet.toml:5: bridge.velocity.robots[0].robot is 3; expected a robot of this fleet, 1 to 2",
+        ),
+        (
+            "[bridge.velocity]\nrobots = [\n  { robot = 2, linear_m_s = 1, angular_rad_s = 1 },\n  \
+             { robot = 2, linear_m_s = 2, angular_rad_s = 1 },\n]",
+            "fleet.toml:4: bridge.velocity.robots[1].robot is 2; expected one entry for each robot",
+        ),
+        (
             "[realtime]\nroles = [\n  \"sim\",\n  \"robot\",\n]",
             "fleet.toml:4: realtime.roles[1] names `robot`; expected ",
         ),

@@ -61,6 +61,10 @@ impl VelocityConfig {
                 let expected = "the number of a robot, 1 to 64";
                 return Err(ConfigError::new(table + ".robot", limits.robot.to_string(), expected));
             }
+            if self.robots[..index].iter().any(|before| before.robot == limits.robot) {
+                let expected = "one entry for each robot, and an entry before has this robot";
+                return Err(ConfigError::new(table + ".robot", limits.robot.to_string(), expected));
+            }
             check_limits(&table, limits.linear_m_s, limits.angular_rad_s)?;
         }
         Ok(())
