@@ -86,7 +86,7 @@ pub fn write_map(stem: &Path, grid: GridView<'_>) -> Result<(), MapFileError> {
 /// They are the list `unreliable` of the YAML, which map_server ignores, and the text `Unreliable` of the PNG. A map without
 /// reasons has neither.
 pub fn write_map_with_reasons(stem: &Path, grid: GridView<'_>, reasons: &[&str]) -> Result<(), MapFileError> {
-    let [pgm, yaml, png] = ["pgm", "yaml", "png"].map(|extension| with_extension(stem, extension));
+    let [pgm, yaml, png] = written_files(stem);
     let name = pgm.file_name().and_then(|name| name.to_str());
     let Some(name) = name.filter(|name| !name.contains(['"', '\\', '\n', '\r'])) else {
         return Err(MapFileError::content(
@@ -112,6 +112,20 @@ pub fn write_map_with_reasons(stem: &Path, grid: GridView<'_>, reasons: &[&str])
     write_whole(&yaml, |file| file.write_all(describe(name, grid.header, reasons).as_bytes()))
 }
 
+/// Returns the files that [`write_map`] writes: PGM, YAML and PNG.
+pub fn written_files(stem: &Path) -> [PathBuf; 3] {
+    ["pgm", "yaml", "png"].map(|extension| with_extension(stem, extension))
+}
+
+/// Returns the files that [`read_map`] reads: the YAML and the image that it names.
+pub fn read_files(yaml: &Path) -> Result<[PathBuf; 2], MapFileError> {
+    Ok([yaml.into(), image_file(yaml, &read_description(yaml)?)])
+}
+
+fn image_file(yaml: &Path, meta: &Description) -> PathBuf {
+    yaml.parent().unwrap_or(Path::new("")).join(&meta.image)
+}
+
 /// Reads a map by its YAML file. The image is a PGM (P5 or P2) or a PNG, named relative to the YAML's folder or
 /// absolutely. No memory is allocated for an image before its size was checked.
 pub fn read_map(yaml: &Path) -> Result<Grid, MapFileError> {
@@ -121,8 +135,7 @@ pub fn read_map(yaml: &Path) -> Result<Grid, MapFileError> {
 /// Reads a map as [`read_map`] does, with the reasons why it is unreliable, as [`write_map_with_reasons`] writes them.
 pub fn read_map_with_reasons(yaml: &Path) -> Result<(Grid, Vec<String>), MapFileError> {
     let meta = read_description(yaml)?;
-    let image = yaml.parent().unwrap_or(Path::new("")).join(&meta.image);
-    let grid = meta.grid(&read_image(&image)?);
+    let grid = meta.grid(&read_image(&image_file(yaml, &meta))?);
     Ok((grid, meta.unreliable.into_reasons()))
 }
 

@@ -1,11 +1,12 @@
 //! Tool `mr-slam merge`, which merges map files of robots that started anywhere.
 
 use super::output;
-use formats::map_file::{MapFileError, read_map_with_reasons, write_map_with_reasons};
+use super::overwriting::replaced_input;
+use formats::map_file::{self, MapFileError, read_map_with_reasons, write_map_with_reasons};
 use merge::{AlignConfig, Alignment, MapRejected, MergeConfig, Merger, align};
 use msg::{AlignmentRefusal, Grid, GridHeader, GridView, Pose2, ROBOTS_MAX, RobotId};
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Merge map files of robots that started anywhere
@@ -45,6 +46,12 @@ pub enum MergeMapsError {
         /// Path of the first map.
         first: PathBuf,
     },
+    /// The result would replace one of the maps.
+    #[error("--out: {} belongs to a map that is merged; nothing is merged or written; expected another name", file.display())]
+    Overwrites {
+        /// Path of the file.
+        file: PathBuf,
+    },
     /// More maps than robots in the largest fleet.
     #[error("{0} maps; expected 2 to {ROBOTS_MAX}")]
     TooMany(usize),
@@ -71,6 +78,10 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
     if args.maps.len() > ROBOTS_MAX {
         return Err(MergeMapsError::TooMany(args.maps.len()));
     }
+    let out = args.out.as_deref().map(stem_of);
+    if let Some(out) = &out {
+        check_inputs_stay(&args.maps, out)?;
+    }
     let maps = args.maps.iter().map(|yaml| read_map_with_reasons(yaml)).collect::<Result<Vec<_>, _>>()?;
     let (maps, reasons): (Vec<Grid>, Vec<Vec<String>>) = maps.into_iter().unzip();
     let frame_from_lattice = maps[0].header.origin;
@@ -93,16 +104,28 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
     for reason in &reasons {
         output::note(&format!("the merged map is unreliable: {reason}"));
     }
-    if let Some(out) = &args.out {
-        let stem =
-            if out.extension().is_some_and(|e| e == "yaml") { out.with_extension("") } else { out.clone() };
+    if let Some(out) = &out {
         let merged = merger.merged();
         let origin = frame_from_lattice * merged.header.origin;
         let header = GridHeader { origin, ..*merged.header };
         let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
-        write_map_with_reasons(&stem, GridView { header: &header, cells: merged.cells }, &reasons)?;
+        write_map_with_reasons(out, GridView { header: &header, cells: merged.cells }, &reasons)?;
     }
     Ok(())
+}
+
+/// Returns the path of the result's files without their extension.
+fn stem_of(out: &Path) -> PathBuf {
+    if out.extension().is_some_and(|e| e == "yaml") { out.with_extension("") } else { out.into() }
+}
+
+/// Refuses a result that would replace a file of the maps.
+fn check_inputs_stay(maps: &[PathBuf], out: &Path) -> Result<(), MergeMapsError> {
+    let read = maps.iter().map(|yaml| map_file::read_files(yaml)).collect::<Result<Vec<_>, _>>()?;
+    match replaced_input(&map_file::written_files(out), read.as_flattened()) {
+        Some(file) => Err(MergeMapsError::Overwrites { file }),
+        None => Ok(()),
+    }
 }
 
 /// Returns why the merged map is unreliable: the reasons of the maps that are in it, each with its file.
@@ -296,6 +319,27 @@ mod tests {
         let why = run(&MergeArgs { maps, out: Some(path("whole")), json: true }).unwrap_err().to_string();
         assert!(why.contains("nothing is merged") && why.contains("no file is written"), "{why}");
         assert!(!path("whole.yaml").exists());
+    }
+
+    #[test]
+    fn a_result_that_would_replace_a_file_of_the_maps_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        write_map(&path("a"), part(0, 200, Pose2::IDENTITY).view()).unwrap();
+        write_map(&path("b"), part(80, 300, Pose2::IDENTITY).view()).unwrap();
+        // A map whose image has another name.
+        let yaml = std::fs::read_to_string(path("b.yaml")).unwrap().replace("b.pgm", "c.png");
+        std::fs::write(path("b.yaml"), yaml).unwrap();
+        std::fs::rename(path("b.png"), path("c.png")).unwrap();
+        let content = |name: &str| std::fs::read(path(name)).unwrap();
+        let before = ["a.yaml", "a.pgm", "c.png"].map(content);
+        for out in ["a", "a.yaml", "b", "c"] {
+            let maps = ["a.yaml", "b.yaml"].map(path).to_vec();
+            let why = run(&MergeArgs { maps, out: Some(path(out)), json: true }).unwrap_err().to_string();
+            assert!(why.contains("--out") && why.contains("another name"), "{out}: {why}");
+        }
+        assert_eq!(["a.yaml", "a.pgm", "c.png"].map(content), before);
+        assert!(!path("c.yaml").exists());
     }
 
     #[test]

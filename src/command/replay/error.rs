@@ -24,6 +24,9 @@ pub enum ReplayError {
         /// Error of the operating system.
         source: std::io::Error,
     },
+    /// A result would replace a file that is read.
+    #[error("{} is read by this replay, and a result would replace it; nothing is done; expected another name for the result", .0.display())]
+    Overwrites(PathBuf),
     /// The map cannot be written.
     #[error(transparent)]
     Map(#[from] MapFileError),

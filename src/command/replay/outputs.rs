@@ -1,11 +1,15 @@
-//! Checks before a replay that its results can be written: mapping takes long.
+//! Checks before a replay that its results can be written, and replace nothing that is read: mapping takes long.
 
-use super::{ReplayArgs, ReplayError};
+use super::{ReplayArgs, ReplayError, Starts};
+use crate::command::overwriting::replaced_input;
+use crate::session_file;
+use formats::map_file;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// Checks that the requested files can be written, and leaves no file behind.
 pub fn check(args: &ReplayArgs) -> Result<(), ReplayError> {
+    check_inputs_stay(args)?;
     let check =
         |path: &Path| check_file(path).map_err(|source| ReplayError::Write { path: path.to_owned(), source });
     if let Some(path) = &args.map {
@@ -25,6 +29,34 @@ pub fn check(args: &ReplayArgs) -> Result<(), ReplayError> {
         None => {}
     }
     args.save_session.as_deref().map_or(Ok(()), check)
+}
+
+/// Refuses a result that would replace a file that the replay reads.
+fn check_inputs_stay(args: &ReplayArgs) -> Result<(), ReplayError> {
+    let mut inputs = args.logs.clone();
+    inputs.extend(args.config.clone());
+    if let Some(Starts::Known(file)) = &args.merge {
+        inputs.push(file.clone());
+    }
+    match &args.session {
+        // One that cannot be read is refused later, with its reason.
+        Some(map) if session_file::is_map(map) => {
+            inputs.extend(map_file::read_files(map).into_iter().flatten());
+        }
+        session => inputs.extend(session.clone()),
+    }
+    let mut outputs: Vec<PathBuf> = args.save_session.iter().cloned().collect();
+    if let Some(map) = &args.map {
+        outputs.extend(map_file::written_files(&map.with_extension("")));
+    }
+    match &args.trajectory {
+        Some(folder) if args.merge.is_some() => {
+            let name = |robot| folder.join(format!("{robot}.tum"));
+            outputs.extend(msg::RobotId::first(args.logs.len().min(msg::ROBOTS_MAX)).map(name));
+        }
+        file => outputs.extend(file.clone()),
+    }
+    replaced_input(&outputs, &inputs).map_or(Ok(()), |path| Err(ReplayError::Overwrites(path)))
 }
 
 fn check_file(path: &Path) -> std::io::Result<()> {

@@ -115,6 +115,28 @@ fn outputs_that_cannot_be_written_are_refused_before_the_log_is_read() {
 }
 
 #[test]
+fn results_that_would_replace_what_is_read_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let names = ["robot1.tum", "map.yaml", "fleet.toml", "starts"];
+    names.iter().for_each(|name| std::fs::write(path(name), "kept").unwrap());
+    let (log, other) = (|| args(&path("robot1.tum")), |name| Some(path(name)));
+    let starts = || Some(Starts::Known(path("starts")));
+    for args in [
+        ReplayArgs { trajectory: other("robot1.tum"), ..log() },
+        ReplayArgs { save_session: other("fleet.toml"), config: other("fleet.toml"), ..log() },
+        ReplayArgs { save_session: other("robot1.tum"), session: other("robot1.tum"), ..log() },
+        ReplayArgs { map: other("map"), logs: vec![path("map.yaml")], ..log() },
+        ReplayArgs { trajectory: Some(folder.path().into()), merge: starts(), ..log() },
+        ReplayArgs { map: other("new"), save_session: other("starts"), merge: starts(), ..log() },
+    ] {
+        let error = run(&args).unwrap_err();
+        assert!(matches!(error, ReplayError::Overwrites(_)), "{error}");
+    }
+    assert!(names.iter().all(|name| std::fs::read_to_string(path(name)).unwrap() == "kept"));
+}
+
+#[test]
 fn figures_that_were_not_measured_are_null() {
     let json = serde_json::to_value(Summary::default()).unwrap();
     for name in ["wall_s", "times_real_time", "scan_ms", "back_end_ms", "map_width", "map_height", "map_ms"] {
