@@ -2,6 +2,7 @@
 //!
 //! It reads no clock and no socket. Time comes in as `now`, a monotonic time of the caller's.
 
+mod absent_robots;
 mod actions;
 mod admission;
 mod initial_pose;

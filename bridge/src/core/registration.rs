@@ -129,7 +129,7 @@ impl Core {
         let topic = interfaces::resolve_name(&registration.topic)?;
         match command {
             name::SUBSCRIBE => self.subscribe(id, topic, registration, now)?,
-            name::PUBLISH => self.register_publisher(id, topic, registration)?,
+            name::PUBLISH => self.register_publisher(id, topic, registration, now)?,
             name::ROS_SERVICE | name::UNITY_SERVICE => {
                 self.register_service(id, command, topic, registration)?
             }
@@ -283,6 +283,7 @@ impl Core {
         id: ClientId,
         name: String,
         registration: &Registration,
+        now: Monotonic,
     ) -> Result<(), RegistrationError> {
         let message_type = self.resolve_type(Kind::Message, registration)?;
         let stamped = message_type == TwistStamped::TYPE && self.accepts_stamped(&name);
@@ -301,6 +302,7 @@ impl Core {
         }
         let publication = Publication { topic, stamped, latch: registration.latch };
         self.router.add_publisher(id, publication, *queue_size);
+        self.warn_of_absent_robot(id, topic, now);
         self.relay_publication(id, topic);
         Ok(())
     }

@@ -28,7 +28,7 @@ pub(super) struct RosRefusals {
 
 impl RosRefusals {
     /// Counts a refusal. Returns the number of messages that were refused since it was told last, if it is to be told now.
-    fn add(&mut self, kind: RefusalKind, topic: &str, now: Monotonic) -> Option<u64> {
+    pub(super) fn add(&mut self, kind: RefusalKind, topic: &str, now: Monotonic) -> Option<u64> {
         let is_same = |known: &&mut Refusal| known.kind == kind && known.topic == topic;
         if let Some(known) = self.refusals.iter_mut().find(is_same) {
             known.untold += 1;

@@ -46,6 +46,25 @@ fn external(robots: &[&str]) -> (Bridge, Log) {
 const NOW: Monotonic = Monotonic(1_000_000_000);
 const STAMP: Stamp = Stamp(1_000_000_000);
 
+#[test]
+fn a_client_that_publishes_for_a_robot_that_the_fleet_does_not_have_is_warned() {
+    let bridge = Bridge::new(BridgeConfig::default(), 2, |_, _| {}).unwrap();
+    let client = LocalClient::connect(&bridge);
+    let warned = |topic: &str| {
+        client.publish::<Twist>(topic);
+        let frames = client.take_frames();
+        let warning = frames.iter().find(|(name, _)| name == "__warn");
+        warning.map(|(_, text)| String::from_utf8_lossy(text).into_owned())
+    };
+    for topic in ["/cmd_vel_9", "/robot9/cmd_vel", "/robot9/goal_pose"] {
+        let text = warned(topic).expect(topic);
+        assert!(text.contains(topic) && text.contains("robot1, robot2"), "{text}");
+    }
+    for topic in ["/cmd_vel_2", "/chat_9"] {
+        assert_eq!(warned(topic), None, "{topic}");
+    }
+}
+
 fn scan(frame: &str) -> LaserScan {
     LaserScan {
         stamp: STAMP,
