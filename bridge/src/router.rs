@@ -37,6 +37,9 @@ use topics::Subscriber;
 /// Room for a reply's first bytes: a topic list or a service frame of usual length.
 const REPLY_BYTES: usize = 1024;
 
+/// The lengths of a frame's name and payload, bytes.
+const FRAME_LENGTHS_BYTES: usize = 8;
+
 /// A topic with a longer frame is bulk from then on, bytes.
 const ORDINARY_BYTES_MAX: usize = 16 << 10;
 
@@ -234,7 +237,7 @@ impl TopicRouter {
             return;
         }
         if let Some(topic) = self.topics.get_mut(topic) {
-            topic.last_frame_bytes = 8 + topic.name.len() + payload.len();
+            topic.last_frame_bytes = FRAME_LENGTHS_BYTES + topic.name.len() + payload.len();
         }
         self.publish_with(topic, |out| out.extend_from_slice(payload));
     }
@@ -244,7 +247,7 @@ impl TopicRouter {
         let is_wanted = self.topics.get(topic).is_some_and(|topic| !topic.subscribers.is_empty());
         let Some(source) = self.topics.get(latched_of).filter(|_| is_wanted) else { return };
         let Some(frame) = source.latched.clone() else { return };
-        let payload_begin = 8 + source.name.len();
+        let payload_begin = FRAME_LENGTHS_BYTES + source.name.len();
         self.forward(topic, &frame[payload_begin..]);
     }
 
@@ -269,8 +272,12 @@ impl TopicRouter {
         self.enforce_memory();
     }
 
-    /// Keeps the newest message for late subscribers. On clients' topics the total of bytes is limited.
+    /// Keeps the newest message for late subscribers. On clients' topics the total of bytes is limited: one beyond it leaves
+    /// the message before.
     fn latch(&mut self, id: TopicId, frame: &SharedFrame) {
+        if !self.has_room_to_latch(id, frame.len()) {
+            return;
+        }
         let Some(topic) = self.topics.get_mut(id) else { return };
         let is_clients = topic.source == Source::Clients;
         if let Some(old) = topic.latched.take() {
@@ -280,11 +287,23 @@ impl TopicRouter {
             self.memory.add_created(if is_held { memory_bytes(&old) } else { 0 });
             self.pool.recycle(old);
         }
-        let fits = self.latched_bytes + frame.len() <= self.latched_bytes_max;
-        if !is_clients || fits {
-            topic.latched = Some(frame.clone());
-            self.latched_bytes += if is_clients { frame.len() } else { 0 };
-        }
+        topic.latched = Some(frame.clone());
+        self.latched_bytes += if is_clients { frame.len() } else { 0 };
+    }
+
+    /// Returns whether a frame could be the latched one of a topic. The one that it replaces makes room.
+    fn has_room_to_latch(&self, id: TopicId, frame_bytes: usize) -> bool {
+        let Some(topic) = self.topics.get(id).filter(|topic| topic.source == Source::Clients) else {
+            return true;
+        };
+        let replaced = topic.latched.as_ref().map_or(0, |frame| frame.len());
+        self.latched_bytes - replaced + frame_bytes <= self.latched_bytes_max
+    }
+
+    /// Returns whether late subscribers do not get a client's payload although its topic is latched (`latched_bytes_max`).
+    pub fn is_too_large_to_latch(&self, id: TopicId, payload_bytes: usize) -> bool {
+        let Some(topic) = self.topics.get(id).filter(|topic| topic.retention.latch) else { return false };
+        !self.has_room_to_latch(id, FRAME_LENGTHS_BYTES + topic.name.len() + payload_bytes)
     }
 
     /// Queues a topic's frame for one subscriber, or for all.

@@ -9,7 +9,7 @@ use crate::command::name;
 use crate::drive::velocity_gate::{GateDecision, Velocity};
 use crate::input::InputPurpose;
 use crate::relay::ReceivedMessage;
-use crate::router::{ClientId, Publication, RefusalKind, Source};
+use crate::router::{ClientId, Publication, RefusalKind, Source, TopicId};
 use crate::teleop::Stick;
 use crate::world::{Incoming, WorldError};
 use msg::{EdgeCommand, Monotonic, OperatorAction, RobotId};
@@ -150,9 +150,28 @@ impl Core {
             return self.apply_input(id, input, publication, payload, now);
         }
         let message = with_dummy_byte(self.config.payloads, payload);
+        self.warn_of_unlatched(id, publication.topic, message.len(), now);
         self.router.forward(publication.topic, message);
         self.relay_message(id, publication.topic, message);
         self.accept_shared_goal(id, publication.topic, payload, now)
+    }
+
+    /// Warns a client whose message late subscribers do not get; the same once a second.
+    fn warn_of_unlatched(&mut self, id: ClientId, topic: TopicId, payload_bytes: usize, now: Monotonic) {
+        if !self.router.is_too_large_to_latch(topic, payload_bytes) {
+            return;
+        }
+        let Some(client) = self.router.client_mut(id) else { return };
+        if !client.should_report(RefusalKind::NotLatched, Some(topic), now) {
+            return;
+        }
+        let name = self.router.topics.get(topic).map_or("", |topic| topic.name.as_str());
+        let text = format!(
+            "'{name}': a message of {payload_bytes} bytes is passed on, but late subscribers get the one before: all latched \
+             messages of clients together have at most {} bytes (latched_bytes_max in [bridge])",
+            self.config.latched_bytes_max
+        );
+        self.router.send_notice(id, name::WARN, text);
     }
 
     /// Applies a message that the fleet interprets.

@@ -73,6 +73,8 @@ pub enum RefusalKind {
     EmergencyStop,
     /// The message is well formed, but its values are not accepted.
     Content,
+    /// The message is passed on, but not kept for late subscribers.
+    NotLatched,
 }
 
 /// The client is told of the same refusal again after this time, nanoseconds: 1 s.

@@ -31,14 +31,27 @@ impl<'a> LocalClient<'a> {
         self.register(name::PUBLISH, topic, M::TYPE);
     }
 
+    /// Registers as publisher of a topic whose newest message late subscribers get.
+    pub fn publish_latched<M: Message>(&self, topic: &str) {
+        let (topic, message_name) = (topic.to_owned(), M::TYPE.to_owned());
+        self.command(
+            name::PUBLISH,
+            &Registration { topic, message_name, latch: true, ..Registration::default() },
+        );
+    }
+
     fn register(&self, command: &str, topic: &str, message_type: &str) {
         let registration = Registration {
             topic: topic.to_owned(),
             message_name: message_type.to_owned(),
             ..Registration::default()
         };
+        self.command(command, &registration);
+    }
+
+    fn command(&self, command: &str, registration: &Registration) {
         let mut bytes = Vec::new();
-        Side::Client.write_command(&mut bytes, command, &registration);
+        Side::Client.write_command(&mut bytes, command, registration);
         self.receive(&bytes, Monotonic(0));
     }
 

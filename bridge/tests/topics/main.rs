@@ -1,5 +1,6 @@
 //! What the bridge publishes on the fleet's topics, seen by clients of the test's own process.
 
+mod latched;
 mod local;
 mod maps;
 mod names;
