@@ -55,7 +55,11 @@ pub type Reply = Result<BridgeState, String>;
 
 /// Returns the path of the socket on which a run's bridge listens.
 pub fn socket(run: &Run) -> PathBuf {
-    run.domain.root().join("bridge.sock")
+    socket_in(run.domain.root())
+}
+
+fn socket_in(runtime: &Path) -> PathBuf {
+    runtime.join("bridge.sock")
 }
 
 /// Why a request has no good answer.
@@ -86,6 +90,11 @@ pub fn ask(run: &Run, request: Request, patience: Duration) -> Result<BridgeStat
 /// A request that may be repeated is sent again to a bridge that has ended, or was replaced, before it answered.
 pub fn ask_again(run: &Run, request: Request, patience: Duration) -> Result<BridgeState, AskError> {
     ask_socket_again(&socket(run), request, patience)
+}
+
+/// Sends a request as [`ask_again`] does to the bridge of the fleet with this runtime folder, whose run cannot be read.
+pub fn ask_again_in(runtime: &Path, request: Request, patience: Duration) -> Result<BridgeState, AskError> {
+    ask_socket_again(&socket_in(runtime), request, patience)
 }
 
 fn ask_socket_again(socket: &Path, request: Request, patience: Duration) -> Result<BridgeState, AskError> {

@@ -10,6 +10,10 @@
 //! | `recording/` | recording of the run, if there is one |
 //! | maps, `report.json`, `report.html`; `launcher.log` | results, written at the end; messages with `--detach` |
 
+mod running;
+
+pub use running::{LostFleet, RunningFleets};
+
 use crate::channel::Opener;
 use crate::clock::Epoch;
 use crate::config::FleetConfig;
@@ -31,8 +35,6 @@ const FILE_BYTES_MAX: u64 = 64 << 10;
 const LOCK: &str = ".lock";
 /// Names that are tried for a new folder: more fleets do not start in one second.
 const NEW_FOLDERS_MAX: usize = 100;
-/// Name of the file with the path of the run's folder.
-const POINTER: &str = "run-dir";
 
 /// Reason why a run could not be created or opened.
 #[derive(Debug, thiserror::Error)]
@@ -87,6 +89,9 @@ pub enum RunError {
     /// No fleet runs, or not the one that was named.
     #[error("no fleet is running; start one with `mr-slam up`")]
     NoneRunning,
+    /// Fleets run, but none whose folder can be read.
+    #[error("{}; `mr-slam stop` stops its robots, and `kill` with the process id ends it", display_lost(.0))]
+    Lost(Vec<LostFleet>),
     /// Several fleets run, and none was named.
     #[error("{} fleets are running; name one with --run-dir: {}", runs.len(), display_all(runs))]
     SeveralRunning {
@@ -127,14 +132,14 @@ impl RunFile {
         let json = formats::limited::read_text(&path, FILE_BYTES_MAX).map_err(RunError::file(&path))?;
         serde_json::from_str(&json).map_err(|source| RunError::Json { path, source })
     }
-
-    fn is_alive(&self) -> bool {
-        runtime_folder::is_alive(&self.runtime)
-    }
 }
 
 fn display_all(runs: &[PathBuf]) -> String {
     runs.iter().map(|dir| dir.display().to_string()).collect::<Vec<_>>().join(", ")
+}
+
+fn display_lost(fleets: &[LostFleet]) -> String {
+    fleets.iter().map(LostFleet::to_string).collect::<Vec<_>>().join("; ")
 }
 
 /// A fleet's run, as each of its processes knows it.
@@ -220,13 +225,11 @@ impl Run {
         formats::atomic::write(&toml_path, |file| file.write_all(toml.as_bytes()))
             .map_err(RunError::file(&toml_path))?;
         let json = serde_json::to_string_pretty(&file).unwrap_or_default();
-        // `mr-slam status` finds the run by the second file without knowing its folder.
-        let pointer = run.domain.root().join(POINTER);
-        let run_dir = run.dir.as_os_str().as_encoded_bytes();
-        for (path, content) in [(run.dir.join("run.json"), json.as_bytes()), (pointer, run_dir)] {
-            formats::atomic::write_durably(&path, |file| file.write_all(content))
-                .map_err(RunError::file(&path))?;
-        }
+        let path = run.dir.join("run.json");
+        formats::atomic::write_durably(&path, |file| file.write_all(json.as_bytes()))
+            .map_err(RunError::file(&path))?;
+        // `mr-slam status` finds the run by it without knowing its folder.
+        running::write_pointer(&run)?;
         Ok(Self { _locks: Some(Arc::new([dir_lock, lock])), ..run })
     }
 
@@ -248,28 +251,6 @@ impl Run {
     pub fn open_running(dir: &Path) -> Result<Self, RunError> {
         let run = Self::open(dir)?;
         if runtime_folder::is_alive(run.domain.root()) { Ok(run) } else { Err(RunError::NoneRunning) }
-    }
-
-    /// Returns the folders of all runs of this user whose launcher is alive, in the order of their start.
-    pub fn all_running() -> Vec<PathBuf> {
-        Self::running_in(&runtime_folder::live_fleets())
-    }
-
-    fn running_in(live_fleets: &[PathBuf]) -> Vec<PathBuf> {
-        let mut found = Vec::new();
-        for root in live_fleets {
-            let Ok(dir) = formats::limited::read_text(&root.join(POINTER), FILE_BYTES_MAX) else { continue };
-            let dir = PathBuf::from(dir);
-            // Process ids do not grow with time, so the start is read from the run's own file.
-            if let Ok(file) = RunFile::read(&dir)
-                && file.runtime == *root
-                && file.is_alive()
-            {
-                found.push((file.begun_ns, dir));
-            }
-        }
-        found.sort();
-        found.into_iter().map(|(_, dir)| dir).collect()
     }
 
     fn from_file(dir: PathBuf, file: RunFile, config: FleetConfig) -> Result<Self, RunError> {
@@ -316,53 +297,7 @@ impl Run {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::os::unix::fs::{PermissionsExt, symlink};
-
-    /// Makes what a fleet that began at `begun_ns` has in the user's folder and in its own; returns both.
-    fn pretend_run(folder: &Path, begun_ns: u64) -> (PathBuf, PathBuf) {
-        let runtime = folder.join(format!("fleet_{begun_ns}"));
-        fs::DirBuilder::new().mode(0o700).create(&runtime).unwrap();
-        let dir = create_folder(&folder.join(format!("run-{begun_ns}"))).unwrap();
-        let (pid, domain) = (std::process::id(), "test".into());
-        let file = RunFile { pid, domain, runtime: runtime.clone(), epoch_ns: 0, begun_ns, port: 0 };
-        fs::write(dir.join("run.json"), serde_json::to_string(&file).unwrap()).unwrap();
-        fs::write(runtime.join(POINTER), dir.as_os_str().as_encoded_bytes()).unwrap();
-        (runtime, dir)
-    }
-
-    #[test]
-    fn running_fleets_are_listed_in_the_order_of_their_start() {
-        let folder = tempfile::tempdir().unwrap();
-        let (mut roots, mut dirs, mut locks) = (Vec::new(), Vec::new(), Vec::new());
-        for begun_ns in [2, 1] {
-            let (root, dir) = pretend_run(folder.path(), begun_ns);
-            locks.push(Lock::acquire(&root.join("lock")).unwrap().unwrap());
-            roots.push(root);
-            dirs.insert(0, dir);
-        }
-        let runs = Run::running_in(&roots);
-        assert_eq!(runs, dirs);
-        let several = RunError::SeveralRunning { runs }.to_string();
-        assert!(several.contains("--run-dir") && several.contains("run-2"), "{several}");
-        locks.remove(0);
-        assert_eq!(Run::running_in(&roots), dirs[..1], "its launcher is dead");
-    }
-
-    #[test]
-    fn nobody_can_pretend_to_be_a_fleet() {
-        let folder = tempfile::tempdir().unwrap();
-        let (root, dir) = pretend_run(folder.path(), 1);
-        let _lock = Lock::acquire(&root.join("lock")).unwrap().unwrap();
-        let runs = || Run::running_in(std::slice::from_ref(&root));
-        assert_eq!(runs(), std::slice::from_ref(&dir));
-        let json = dir.join("run.json");
-        fs::set_permissions(&json, fs::Permissions::from_mode(0o666)).unwrap();
-        assert_eq!(runs(), Vec::<PathBuf>::new(), "anybody could have written it");
-        fs::rename(&json, folder.path().join("elsewhere")).unwrap();
-        symlink(folder.path().join("elsewhere"), &json).unwrap();
-        assert_eq!(runs(), Vec::<PathBuf>::new(), "a link may lead anywhere");
-        assert!(matches!(Run::open_running(&dir), Err(RunError::Trust(_))));
-    }
+    use std::os::unix::fs::PermissionsExt;
 
     #[test]
     fn a_folder_that_anybody_may_write_to_is_refused() {

@@ -1,6 +1,7 @@
 //! Choice of the running fleet that a tool looks at or changes.
 
-use crate::run::{Run, RunError};
+use super::output;
+use crate::run::{Run, RunError, RunningFleets};
 use std::path::PathBuf;
 
 /// Choice of the running fleet.
@@ -16,16 +17,30 @@ impl RunArgs {
     pub fn open(&self) -> Result<Run, RunError> {
         match &self.run_dir {
             Some(dir) => Run::open_running(dir),
-            None => Run::open_running(&Run::all_running().pop().ok_or(RunError::NoneRunning)?),
+            None => open_newest(RunningFleets::find()),
         }
     }
 
     /// Opens the running fleet to change it. If several run, `--run-dir` must say which.
     pub fn open_to_change(&self) -> Result<Run, RunError> {
-        let runs = if self.run_dir.is_some() { Vec::new() } else { Run::all_running() };
-        if runs.len() > 1 {
-            return Err(RunError::SeveralRunning { runs });
+        if let Some(dir) = &self.run_dir {
+            return Run::open_running(dir);
         }
-        self.open()
+        let fleets = RunningFleets::find();
+        if fleets.runs.len() > 1 {
+            return Err(RunError::SeveralRunning { runs: fleets.runs });
+        }
+        open_newest(fleets)
+    }
+}
+
+fn open_newest(mut fleets: RunningFleets) -> Result<Run, RunError> {
+    match fleets.runs.pop() {
+        Some(dir) => {
+            fleets.lost.iter().for_each(|fleet| output::note(&fleet.to_string()));
+            Run::open_running(&dir)
+        }
+        None if fleets.lost.is_empty() => Err(RunError::NoneRunning),
+        None => Err(RunError::Lost(fleets.lost)),
     }
 }

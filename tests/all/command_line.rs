@@ -129,6 +129,22 @@ fn stop_is_latched_in_every_fleet_whether_it_answers_or_not() {
 }
 
 #[test]
+fn stop_fails_while_a_fleet_whose_folder_is_gone_may_drive() {
+    let temporary = Folder::new();
+    let (run, _lock) = pretend_run(&temporary, 7);
+    std::fs::remove_dir_all(&run).unwrap();
+    for words in [&["stop"][..], &["stop", "--run-dir", &run], &["status"]] {
+        let mut command = mr_slam();
+        command.args(words).env("TMPDIR", temporary.path()).env("XDG_RUNTIME_DIR", temporary.path());
+        let ended = command.output().unwrap();
+        let said = String::from_utf8_lossy(&[ended.stdout, ended.stderr].concat()).into_owned();
+        assert!(!ended.status.success(), "{words:?}: {said}");
+        assert!(said.contains("process 7") && said.contains("run.json"), "{words:?}: {said}");
+        assert!(words[0] != "stop" || said.contains("NOT STOPPED"), "{words:?}: {said}");
+    }
+}
+
+#[test]
 fn addresses_that_no_client_has_and_zones_that_cross_are_refused_before_anything_is_asked() {
     let temporary = Folder::new();
     let (run, _lock) = pretend_run(&temporary, 1);

@@ -192,3 +192,26 @@ fn a_release_at_once_does_not_undo_the_stop_of_a_bridge_that_was_killed() {
     assert_eq!(until("a state", interruptions), 1);
     assert_eq!(fleets.is_stopped(0), Some(false));
 }
+
+#[test]
+fn a_fleet_whose_folder_was_moved_is_named_and_stopped_all_the_same() {
+    let fleets = Fleets::start(2);
+    for number in 0..2 {
+        until("a bridge that answers", || fleets.is_stopped(number));
+    }
+    let (dir, elsewhere) = (fleets.run_dir(0), fleets.folder.path().join("elsewhere"));
+    std::fs::rename(&dir, &elsewhere).unwrap();
+    let stop = output_of(fleets.command().args(["stop", "--json"]));
+    let status = output_of(fleets.command().args(["status", "--json"]));
+    let said: Value = serde_json::from_slice(&stop.stdout).unwrap();
+    let lost = said.as_array().unwrap().iter().find(|fleet| !fleet["lost"].is_null());
+    let lost = lost.unwrap_or_else(|| panic!("the fleet is not named: {said:#}"));
+    assert_eq!(lost["lost"]["pid"], fleets.launchers[0].id(), "{said:#}");
+    assert!(lost["lost"]["missing"].as_str().unwrap().contains("run.json"), "{said:#}");
+    assert!(stop.status.success() && lost["confirmed"] == true, "its bridge answers: {said:#}");
+    let moved = output_of(fleets.command().args(["status", "--json", "--run-dir"]).arg(&elsewhere));
+    let figures: Value = serde_json::from_slice(&moved.stdout).unwrap();
+    assert_eq!(figures["bridge"]["stopped"], true, "{figures:#}");
+    let noted = String::from_utf8_lossy(&status.stderr).into_owned();
+    assert!(noted.contains("folder cannot be read"), "{noted}");
+}

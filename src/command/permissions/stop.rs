@@ -6,12 +6,12 @@ use crate::config::RobotSource;
 use crate::control::{self, AskError, Request};
 use crate::process::control::saved_state::{latch_stop, stop_file};
 use crate::process::link::{LinkReport, PeerReport};
-use crate::run::{Run, RunError};
+use crate::run::{LostFleet, Run, RunError, RunningFleets};
 use crate::storage::{DiskStorage, Storage};
 use msg::{Monotonic, PauseReason};
 use reports::BridgeState;
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// How long the command asks a bridge that does not answer: one that is killed or frozen is replaced by then.
@@ -20,6 +20,8 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const LATCH_BYTES_MAX: u64 = 4096;
 /// Why a release did not release.
 const SET_ANEW: &str = "the emergency stop was set anew meanwhile and holds";
+/// Why a stop is not set.
+const RELEASED_AGAIN: &str = "the bridge has released it again";
 /// Longest wait until robots on other machines say that they are stopped: their states and the file come once a second.
 const ROBOTS_PATIENCE: Duration = Duration::from_secs(5);
 /// Period at which the file is read.
@@ -40,6 +42,9 @@ struct StoppedFleet {
     unconfirmed: Vec<String>,
     /// Robots of which this base has heard nothing yet.
     unheard: Vec<String>,
+    /// The fleet, if its run's folder cannot be read.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lost: Option<LostFleet>,
 }
 
 impl StoppedFleet {
@@ -70,34 +75,71 @@ impl StoppedFleet {
             [] => String::new(),
             names => format!("; nothing was heard of {} yet", names.join(", ")),
         };
-        format!("{state}{unheard} (run {})\n", self.run.display())
+        let lost = self.lost.as_ref().map_or_else(String::new, |fleet| format!("; {fleet}"));
+        format!("{state}{unheard} (run {}){lost}\n", self.run.display())
     }
 }
 
 /// Sets the emergency stop of the named fleet, or of all fleets.
 pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
-    let dirs = match &args.run.run_dir {
-        Some(dir) => {
-            match Run::open(dir) {
-                // A stop of a fleet that has ended stops nothing, and the next one in this folder would begin with it.
-                Ok(run) if !run.is_alive() => return Err(RunError::NoneRunning.into()),
-                // The error names the file that is missing.
-                Err(why) if !dir.join("run.json").exists() => return Err(why.into()),
-                // A run whose other files cannot be read is stopped all the same.
-                Ok(_) | Err(_) => vec![dir.clone()],
-            }
-        }
-        None => Run::all_running(),
+    let RunningFleets { runs, lost } = match &args.run.run_dir {
+        Some(dir) => named(dir)?,
+        None => RunningFleets::find(),
     };
-    if dirs.is_empty() {
+    if runs.is_empty() && lost.is_empty() {
         return Err(RunError::NoneRunning.into());
     }
     // Latched everywhere before a bridge that does not answer costs time.
-    let latched: Vec<_> = dirs.into_iter().map(latch).collect();
-    let fleets: Vec<_> = latched.into_iter().map(confirm).collect();
+    let latched: Vec<_> = runs.into_iter().map(latch).collect();
+    let fleets: Vec<_> = latched.into_iter().map(confirm).chain(lost.into_iter().map(stop_lost)).collect();
     output::print_either(args.json, &fleets, || fleets.iter().map(StoppedFleet::line).collect())?;
     let (all, failed) = (fleets.len(), fleets.iter().filter(|fleet| fleet.may_drive()).count());
     if failed > 0 { Err(PermissionError::NotStopped { failed, all }) } else { Ok(()) }
+}
+
+/// Returns the fleet in a folder.
+fn named(dir: &Path) -> Result<RunningFleets, RunError> {
+    match Run::open(dir) {
+        // A stop of a fleet that has ended stops nothing, and the next one in this folder would begin with it.
+        Ok(run) if !run.is_alive() => Err(RunError::NoneRunning),
+        Err(why) if !dir.join("run.json").exists() => {
+            let mut lost = RunningFleets::find().lost;
+            lost.retain(|fleet| fleet.folder.as_deref() == Some(&absolute(dir)));
+            // The error names the file that is missing.
+            if lost.is_empty() { Err(why) } else { Ok(RunningFleets { runs: Vec::new(), lost }) }
+        }
+        // A run whose other files cannot be read is stopped all the same.
+        Ok(_) | Err(_) => Ok(RunningFleets { runs: vec![dir.into()], lost: Vec::new() }),
+    }
+}
+
+/// Returns the path that a folder had, which may be missing, without links above it.
+fn absolute(dir: &Path) -> PathBuf {
+    let path = std::path::absolute(dir).unwrap_or_else(|_| dir.into());
+    let parent = path.parent().and_then(|parent| parent.canonicalize().ok());
+    parent.zip(path.file_name()).map_or_else(|| path.clone(), |(parent, name)| parent.join(name))
+}
+
+/// Stops a fleet whose run's folder cannot be read: its bridge still listens in its runtime folder.
+fn stop_lost(fleet: LostFleet) -> StoppedFleet {
+    let asked = match control::ask_again_in(&fleet.runtime, Request::Stop, PATIENCE) {
+        Ok(state) if state.stopped => Ok(()),
+        Ok(_) => Err(RELEASED_AGAIN.to_owned()),
+        Err(why) => Err(why.to_string()),
+    };
+    let confirmed = asked.is_ok();
+    // What they say of themselves was in the run's folder.
+    let unconfirmed =
+        if fleet.has_remote_robots { vec!["its robots on other machines".into()] } else { vec![] };
+    StoppedFleet {
+        run: fleet.folder.clone().unwrap_or_else(|| fleet.runtime.clone()),
+        confirmed,
+        latched: false,
+        why: Some(asked.err().unwrap_or_else(|| "its run's folder cannot be read".into())),
+        unconfirmed,
+        unheard: Vec::new(),
+        lost: Some(fleet),
+    }
 }
 
 /// A run's folder with the result of writing its stop to the disk.
@@ -120,14 +162,15 @@ fn confirm((dir, written): Latched) -> StoppedFleet {
     let asked = match Run::open_running(&dir) {
         Ok(run) => match control::ask_again(&run, Request::Stop, PATIENCE) {
             Ok(state) if state.stopped => Ok(unconfirmed_robots(&run, begun)),
-            Ok(_) => Err("the bridge has released it again".to_owned()),
+            Ok(_) => Err(RELEASED_AGAIN.to_owned()),
             Err(why) => Err(why.to_string()),
         },
         Err(why) => Err(why.to_string()),
     };
     let (confirmed, latched) = (asked.is_ok(), written.is_ok());
     let [unconfirmed, unheard] = asked.as_ref().ok().cloned().unwrap_or_default();
-    StoppedFleet { run: dir, confirmed, latched, why: written.err().or(asked.err()), unconfirmed, unheard }
+    let why = written.err().or(asked.err());
+    StoppedFleet { run: dir, confirmed, latched, why, unconfirmed, unheard, lost: None }
 }
 
 /// Returns the names of the robots on other machines that do not say in time that they are stopped, and of those that the base
@@ -224,7 +267,7 @@ fn ask_for_release(run: &Run) -> Result<Result<BridgeState, AskError>, String> {
 /// Result of `mr-slam release`.
 #[derive(Serialize)]
 struct Released<'a> {
-    run: &'a std::path::Path,
+    run: &'a Path,
     state: &'a str,
     /// Robots on other machines whose own machine's stop is still set.
     still_stopped: Vec<String>,
