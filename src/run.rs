@@ -10,8 +10,10 @@
 //! | `recording/` | recording of the run, if there is one |
 //! | maps, `report.json`, `report.html`; `launcher.log` | results, written at the end; messages with `--detach` |
 
+mod folder;
 mod running;
 
+pub use folder::{check_output, lock_folder};
 pub use running::{LostFleet, RunningFleets};
 
 use crate::channel::Opener;
@@ -31,8 +33,6 @@ use std::{fs, io};
 
 /// Largest size of `run.json` and of a path in a file, bytes.
 const FILE_BYTES_MAX: u64 = 64 << 10;
-/// Name of the file that a run's launcher holds locked.
-const LOCK: &str = ".lock";
 /// Names that are tried for a new folder: more fleets do not start in one second.
 const NEW_FOLDERS_MAX: usize = 100;
 
@@ -81,6 +81,18 @@ pub enum RunError {
         /// Folder of the run.
         dir: PathBuf,
         /// Process id of the other launcher; `None` before it has written `run.json`.
+        pid: Option<u32>,
+    },
+    /// Results are to be written where a fleet or an experiment runs.
+    #[error(
+        "{}: a fleet or an experiment runs in this folder{}; end it, or choose another folder for the results",
+        dir.display(),
+        pid.map_or_else(String::new, |pid| format!(" (process {pid})"))
+    )]
+    OutputInUse {
+        /// Folder of the run.
+        dir: PathBuf,
+        /// Process id of the launcher, if it is known.
         pid: Option<u32>,
     },
     /// Shared memory of the run cannot be used.
@@ -197,11 +209,7 @@ impl Run {
         outlives_session: bool,
     ) -> Result<Self, RunError> {
         let dir = create_folder(dir)?;
-        let lock = dir.join(LOCK);
-        let Some(dir_lock) = Lock::acquire(&lock).map_err(RunError::file(&lock))? else {
-            let pid = RunFile::read(&dir).ok().map(|file| file.pid);
-            return Err(RunError::FolderInUse { dir, pid });
-        };
+        let dir_lock = lock_folder(&dir)?;
         let remove = |name: &str, root: &Path| {
             if let Ok(domain) = Domain::new(name, root) {
                 domain.remove();
@@ -307,16 +315,6 @@ mod tests {
         fs::set_permissions(&dir, fs::Permissions::from_mode(0o777)).unwrap();
         let why = create_folder(&dir).unwrap_err().to_string();
         assert!(why.contains("777") && why.contains("--run-dir"), "{why}");
-    }
-
-    #[test]
-    fn a_folder_in_use_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let _lock = Lock::acquire(&folder.path().join(LOCK)).unwrap().unwrap();
-        let result = Run::create(folder.path(), FleetConfig::default(), 0, false);
-        let why = result.unwrap_err();
-        assert!(matches!(why, RunError::FolderInUse { pid: None, .. }));
-        assert!(why.to_string().contains("is starting") && why.to_string().contains("--run-dir"), "{why}");
     }
 
     #[test]

@@ -12,6 +12,7 @@ use super::up;
 use super::{Error, output};
 use crate::config::{FleetConfig, RobotSource};
 use crate::fleet;
+use crate::run::{RunError, check_output, lock_folder};
 use crate::stop::Stop;
 use headset::wireless::{Link, LinkChoice};
 use link::LinkArgs;
@@ -149,6 +150,11 @@ pub fn run(args: &ExperimentArgs, stop: &Stop) -> Result<(), Error> {
     let beside =
         args.beside.iter().map(|folder| summary::Results::read(folder)).collect::<Result<Vec<_>, _>>()?;
     std::fs::create_dir_all(out)?;
+    // Two experiments in one folder would set each other's sessions aside.
+    let _lock = lock_folder(out).map_err(|why| match why {
+        RunError::FolderInUse { dir, pid } => RunError::OutputInUse { dir, pid },
+        why => why,
+    })?;
     let (mut sessions, mut failed) = (Vec::new(), Vec::new());
     for number in 1..=args.session_count() {
         let Some(session) = run_session(&experiment, number, stop, &mut failed)? else { continue };
@@ -186,6 +192,7 @@ fn run_session(
         if stop.requested() {
             return Ok(None);
         }
+        check_output(&folder)?;
         session::set_aside(&folder)?;
         let seed = config.fleet.seed;
         let left_min = f64::from((of - number + 1) * args.seconds) / 60.0;

@@ -11,6 +11,8 @@ use crate::lockstep::faults::FaultPlan;
 use crate::lockstep::invariants::{Checker, quiet_from};
 use crate::lockstep::queues::MemoryPorts;
 use crate::process::record::{self, Recording};
+use crate::run::lock_folder;
+use crate::runtime_folder::Lock;
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;
@@ -48,13 +50,13 @@ pub struct LockstepArgs {
 /// Runs the fleet, and prints its figures and the hash of all its messages.
 pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let config = simulated_config(args)?;
+    let _lock = args.run_dir.as_deref().map(lock_run_dir).transpose()?;
     let mut fleet = Lockstep::with_faults(&config, !args.in_turn, draw_faults(args))?;
     let mut checker = Checker::new(&config)?;
     let mut exploration = config.fleet.explore.then(|| WatchedExploration::new(config.fleet.robots));
     let mut hash = Sha256::new();
     let mut recording =
         args.record.as_ref().map(|path| begin_recording(path, &config, &fleet)).transpose()?;
-    args.run_dir.as_deref().map_or(Ok(()), create_run_dir)?;
     let begun = Instant::now();
     for second in 0..args.seconds {
         for _ in 0..100 {
@@ -122,9 +124,11 @@ fn simulated_config(args: &LockstepArgs) -> Result<FleetConfig, Error> {
     Ok(config)
 }
 
-/// Creates the folder of the results, before the run: a folder that cannot be written is said at once.
-fn create_run_dir(dir: &Path) -> Result<(), Error> {
-    Ok(std::fs::create_dir_all(dir).map_err(|why| format!("{}: {why}", dir.display()))?)
+/// Creates and locks the folder of the results, before the run: a folder that cannot be written, or in which a fleet runs, is
+/// said at once.
+fn lock_run_dir(dir: &Path) -> Result<Lock, Error> {
+    std::fs::create_dir_all(dir).map_err(|why| format!("{}: {why}", dir.display()))?;
+    Ok(lock_folder(dir)?)
 }
 
 /// Writes the maps and the robots' sessions into a folder.

@@ -145,6 +145,27 @@ fn stop_fails_while_a_fleet_whose_folder_is_gone_may_drive() {
 }
 
 #[test]
+fn results_of_other_tools_are_refused_in_the_folder_of_a_running_fleet() {
+    let temporary = Folder::new();
+    let (run, _runtime_lock) = pretend_run(&temporary, 1);
+    let _lock = Lock::acquire(&std::path::Path::new(&run).join(".lock")).unwrap().unwrap();
+    let before = std::fs::read_dir(&run).unwrap().count();
+    let [map, session] = ["/merged_map", "/robot1.slam"].map(|name| run.clone() + name);
+    for words in [
+        &["lockstep", "--seconds", "1", "--robots", "1", "--run-dir", &run][..],
+        &["replay", "/dev/null", "--map", &map],
+        &["replay", "/dev/null", "--save-session", &session],
+        &["experiment", "--fast", "--sessions", "1", "--seconds", "1", "--out", &run],
+    ] {
+        let ended = output(words);
+        let error = String::from_utf8_lossy(&ended.stderr).into_owned();
+        assert!(!ended.status.success() && error.contains(&run), "{words:?}: {error}");
+        assert!(error.contains("choose another"), "{words:?}: {error}");
+        assert_eq!(std::fs::read_dir(&run).unwrap().count(), before, "{words:?} wrote into it");
+    }
+}
+
+#[test]
 fn addresses_that_no_client_has_and_zones_that_cross_are_refused_before_anything_is_asked() {
     let temporary = Folder::new();
     let (run, _lock) = pretend_run(&temporary, 1);

@@ -27,6 +27,9 @@ pub enum ReplayError {
     /// A result would replace a file that is read.
     #[error("{} is read by this replay, and a result would replace it; nothing is done; expected another name for the result", .0.display())]
     Overwrites(PathBuf),
+    /// A result is to be written into the folder of a running fleet.
+    #[error(transparent)]
+    Run(#[from] crate::run::RunError),
     /// The map cannot be written.
     #[error(transparent)]
     Map(#[from] MapFileError),

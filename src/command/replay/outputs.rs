@@ -2,6 +2,7 @@
 
 use super::{ReplayArgs, ReplayError, Starts};
 use crate::command::overwriting::replaced_input;
+use crate::run::check_output;
 use crate::session_file;
 use formats::map_file;
 use std::fs::File;
@@ -10,6 +11,9 @@ use std::path::{Path, PathBuf};
 /// Checks that the requested files can be written, and leaves no file behind.
 pub fn check(args: &ReplayArgs) -> Result<(), ReplayError> {
     check_inputs_stay(args)?;
+    for path in [&args.map, &args.trajectory, &args.save_session].into_iter().flatten() {
+        check_output(path)?;
+    }
     let check =
         |path: &Path| check_file(path).map_err(|source| ReplayError::Write { path: path.to_owned(), source });
     if let Some(path) = &args.map {
