@@ -8,12 +8,13 @@
 //! | `merge.json`, `merge_robotK.map.gz`, `sessions/`, `bridge.json`, `stopped`, `denied`, `navigation.json` | state that restarted processes continue with |
 //! | `link.json` | figures of the link to other machines, if there are several |
 //! | `recording/` | recording of the run, if there is one |
+//! | `results.earlier/`, `sessions/*.earlier` | maps, report and sessions of the run before in this folder |
 //! | maps, `report.json`, `report.html`; `launcher.log` | results, written at the end; messages with `--detach` |
 
 mod folder;
 mod running;
 
-pub use folder::{check_output, lock_folder};
+pub use folder::{check_output, keep_earlier_results, lock_folder};
 pub use running::{LostFleet, RunningFleets};
 
 use crate::channel::Opener;
@@ -71,28 +72,16 @@ pub enum RunError {
     /// A folder or file belongs to somebody else, or somebody else may write to it.
     #[error("{0}; choose another folder with --run-dir, or mend it")]
     Trust(#[from] TrustError),
-    /// Another fleet runs in the folder.
+    /// Another fleet, or an experiment, runs in the folder.
     #[error(
-        "{}: a fleet {} in this folder; end it, or choose another with --run-dir",
+        "{}: a fleet {} in this folder; end it, or choose another folder, for a run with --run-dir",
         dir.display(),
-        pid.map_or("is starting".into(), |pid| format!("is running (process {pid})"))
+        pid.map_or("or an experiment is starting or running".into(), |pid| format!("is running (process {pid})"))
     )]
     FolderInUse {
         /// Folder of the run.
         dir: PathBuf,
         /// Process id of the other launcher; `None` before it has written `run.json`.
-        pid: Option<u32>,
-    },
-    /// Results are to be written where a fleet or an experiment runs.
-    #[error(
-        "{}: a fleet or an experiment runs in this folder{}; end it, or choose another folder for the results",
-        dir.display(),
-        pid.map_or_else(String::new, |pid| format!(" (process {pid})"))
-    )]
-    OutputInUse {
-        /// Folder of the run.
-        dir: PathBuf,
-        /// Process id of the launcher, if it is known.
         pid: Option<u32>,
     },
     /// Shared memory of the run cannot be used.

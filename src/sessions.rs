@@ -157,18 +157,19 @@ fn read_starts(path: &Path) -> Result<Starts, SessionsError> {
     }
 }
 
-/// Creates a folder for sessions with the poses of the robots' maps that are known. Sessions that an earlier run left there of robots
-/// that this fleet does not have are renamed: a fleet that begins with the folder would take them for maps of this run.
-pub fn create_folder(folder: &Path, known: &[Option<Pose2>]) -> Result<(), SessionsError> {
-    for robot in RobotId::first(ROBOTS_MAX).skip(known.len()) {
-        let session = file(folder, robot);
-        if session.exists() {
-            let earlier = session.with_extension("slam.earlier");
-            std::fs::rename(&session, &earlier)
-                .map_err(|source| SessionsError::StartsFile { file: session.clone(), source })?;
-            tracing::warn!("{} is of an earlier run; it is {} now", session.display(), earlier.display());
-        }
-    }
+/// Creates a run's folder for sessions with the poses of the robots' maps that are known.
+///
+/// Sessions that an earlier run left there are renamed, and stay until the next run in the folder: this run would overwrite them, or
+/// a fleet that begins with the folder would take them for maps of this run. Those of this fleet's robots stay as they are if it
+/// begins with (`begin_with`) this very folder.
+pub fn create_folder(
+    folder: &Path,
+    known: &[Option<Pose2>],
+    begin_with: Option<&Path>,
+) -> Result<(), SessionsError> {
+    let real = |path: &Path| path.canonicalize().ok();
+    let is_continued = begin_with.and_then(real).is_some_and(|begun| real(folder) == Some(begun));
+    set_aside(folder, if is_continued { known.len() } else { 0 })?;
     let path = folder.join(STARTS);
     let named = RobotId::first(known.len()).zip(known);
     let starts: Starts = named
@@ -184,6 +185,28 @@ pub fn create_folder(folder: &Path, known: &[Option<Pose2>]) -> Result<(), Sessi
         .map_err(|source| SessionsError::StartsFile { file: path.clone(), source })
 }
 
+/// Renames what an earlier run left of all robots but the first ones, which are `continued`.
+fn set_aside(folder: &Path, continued: usize) -> Result<(), SessionsError> {
+    let starts = (continued == 0).then(|| folder.join(STARTS));
+    let of_robot = |robot| ["slam", "log0", "log1"].map(|kind| file(folder, robot).with_extension(kind));
+    let files = RobotId::first(ROBOTS_MAX).skip(continued).flat_map(of_robot).chain(starts);
+    let mut has_session = false;
+    for path in files.filter(|path| path.exists()) {
+        let mut earlier = path.clone().into_os_string();
+        earlier.push(".earlier");
+        has_session |= path.extension().is_some_and(|kind| kind == "slam");
+        std::fs::rename(&path, &earlier)
+            .map_err(|source| SessionsError::StartsFile { file: path, source })?;
+    }
+    if has_session {
+        tracing::warn!(
+            "{}: sessions of an earlier run are renamed to robotK.slam.earlier, until the next run in this folder",
+            folder.display()
+        );
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -192,7 +215,7 @@ mod tests {
     fn places_of_maps_come_back() {
         let folder = tempfile::tempdir().unwrap();
         let known = [Some(Pose2::new(1.0, 2.0, 0.5)), None, Some(Pose2::IDENTITY)];
-        create_folder(folder.path(), &known).unwrap();
+        create_folder(folder.path(), &known, None).unwrap();
         let mut config = FleetConfig::default();
         config.sessions.begin_with = folder.path().into();
         let elsewhere = vec![Some(Pose2::new(9.0, 9.0, 0.0)); 3];
@@ -209,9 +232,27 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let files = [1, 2, 3].map(|number| file(folder.path(), RobotId::new(number).unwrap()));
         files.iter().for_each(|path| std::fs::write(path, "a session").unwrap());
-        create_folder(folder.path(), &[None, None]).unwrap();
+        create_folder(folder.path(), &[None, None], Some(folder.path())).unwrap();
         assert!(files[0].exists() && files[1].exists() && !files[2].exists());
         assert!(folder.path().join("robot3.slam.earlier").exists(), "nothing is deleted");
+    }
+
+    #[test]
+    fn sessions_that_are_not_continued_are_kept_beside_those_of_the_next_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(name);
+        let elsewhere = tempfile::tempdir().unwrap();
+        for (run, begin_with) in [("first", None), ("second", None), ("third", Some(elsewhere.path()))] {
+            create_folder(folder.path(), &[Some(Pose2::IDENTITY), None], begin_with).unwrap();
+            for name in ["robot1.slam", "robot2.slam", "robot2.log1"] {
+                assert!(!place(name).exists(), "{run}: {name} would be overwritten");
+                std::fs::write(place(name), run).unwrap();
+            }
+        }
+        for name in ["robot1.slam.earlier", "robot2.slam.earlier", "robot2.log1.earlier"] {
+            assert_eq!(std::fs::read_to_string(place(name)).unwrap(), "second", "{name}");
+        }
+        assert!(place("starts.json.earlier").exists() && place(STARTS).exists());
     }
 
     #[test]

@@ -12,7 +12,7 @@ use super::up;
 use super::{Error, output};
 use crate::config::{FleetConfig, RobotSource};
 use crate::fleet;
-use crate::run::{RunError, check_output, lock_folder};
+use crate::run::{check_output, lock_folder};
 use crate::stop::Stop;
 use headset::wireless::{Link, LinkChoice};
 use link::LinkArgs;
@@ -151,10 +151,7 @@ pub fn run(args: &ExperimentArgs, stop: &Stop) -> Result<(), Error> {
         args.beside.iter().map(|folder| summary::Results::read(folder)).collect::<Result<Vec<_>, _>>()?;
     std::fs::create_dir_all(out)?;
     // Two experiments in one folder would set each other's sessions aside.
-    let _lock = lock_folder(out).map_err(|why| match why {
-        RunError::FolderInUse { dir, pid } => RunError::OutputInUse { dir, pid },
-        why => why,
-    })?;
+    let _lock = lock_folder(out)?;
     let (mut sessions, mut failed) = (Vec::new(), Vec::new());
     for number in 1..=args.session_count() {
         let Some(session) = run_session(&experiment, number, stop, &mut failed)? else { continue };

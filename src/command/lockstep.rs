@@ -11,7 +11,7 @@ use crate::lockstep::faults::FaultPlan;
 use crate::lockstep::invariants::{Checker, quiet_from};
 use crate::lockstep::queues::MemoryPorts;
 use crate::process::record::{self, Recording};
-use crate::run::lock_folder;
+use crate::run::{keep_earlier_results, lock_folder};
 use crate::runtime_folder::Lock;
 use crate::session_file;
 use crate::sessions;
@@ -79,7 +79,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     }
     let hash: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     let faster = fleet.now().seconds() / begun.elapsed().as_secs_f64().max(1e-9);
-    args.run_dir.as_ref().map_or(Ok(()), |dir| write_results(dir, &mut fleet))?;
+    args.run_dir.as_ref().map_or(Ok(()), |dir| write_results(dir, &config, &mut fleet))?;
     let maps_hash = record::map_hash(fleet.maps());
     let recorded = recording.map(Recording::finish);
     if let Some(why) = recorded.as_ref().and_then(|recorded| recorded.ended.clone()) {
@@ -132,10 +132,11 @@ fn lock_run_dir(dir: &Path) -> Result<Lock, Error> {
 }
 
 /// Writes the maps and the robots' sessions into a folder.
-fn write_results(dir: &Path, fleet: &mut Lockstep) -> Result<(), Error> {
+fn write_results(dir: &Path, config: &FleetConfig, fleet: &mut Lockstep) -> Result<(), Error> {
+    keep_earlier_results(dir)?;
     fleet.write_maps(|name| dir.join(name))?;
     let folder = dir.join(sessions::FOLDER);
-    sessions::create_folder(&folder, fleet.known_starts())?;
+    sessions::create_folder(&folder, fleet.known_starts(), config.sessions.folder())?;
     for (robot, session) in fleet.sessions() {
         session_file::write(&sessions::file(&folder, robot), &session)?;
     }

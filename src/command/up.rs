@@ -20,7 +20,7 @@ use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
 use crate::offered_room;
 use crate::resources::{self, ResourceMonitor, Shortage};
-use crate::run::{Run, RunError, create_new_folder};
+use crate::run::{Run, RunError, create_new_folder, keep_earlier_results};
 use crate::sessions;
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
@@ -263,8 +263,10 @@ fn run_created(
     hooks: &mut dyn FleetHooks,
     stop: &Stop,
 ) -> Result<Report, UpError> {
-    sessions::create_folder(&sessions::folder(run), &fleet::known_starts(&run.config)?)
+    let known = fleet::known_starts(&run.config)?;
+    sessions::create_folder(&sessions::folder(run), &known, run.config.sessions.folder())
         .map_err(FleetError::from)?;
+    keep_earlier_results(&run.dir)?;
     let mut screen = Screen::new(run, args.in_background);
     check_resources(run, &mut screen)?;
     let mut supervisor = Supervisor::start(run, listener)?;

@@ -1,4 +1,4 @@
-//! Lock of a run's folder: nobody else writes into it while a fleet runs.
+//! A run's folder is written by one fleet at a time, and what the run before left there is kept.
 
 use super::{RunError, RunFile};
 use crate::runtime_folder::Lock;
@@ -6,6 +6,8 @@ use std::path::Path;
 
 /// Name of the file that a run's launcher holds locked.
 const LOCK: &str = ".lock";
+/// Name of the folder with the results of the run before.
+const EARLIER: &str = "results.earlier";
 
 /// Locks the folder of a run, which must exist, until the lock is dropped.
 ///
@@ -23,8 +25,41 @@ pub fn check_output(path: &Path) -> Result<(), RunError> {
     // Other programs lock files of this name, too.
     let is_in_use = |dir: &&Path| dir.join("run.json").exists() && Lock::is_held(&dir.join(LOCK));
     match existing.ancestors().find(is_in_use) {
-        Some(dir) => Err(RunError::OutputInUse { dir: dir.into(), pid: launcher(dir) }),
+        Some(dir) => Err(RunError::FolderInUse { dir: dir.into(), pid: launcher(dir) }),
         None => Ok(()),
+    }
+}
+
+/// Moves the maps and the report that an earlier run left in a folder into `results.earlier` there, which has those of one run.
+pub fn keep_earlier_results(dir: &Path) -> Result<(), RunError> {
+    let entries = std::fs::read_dir(dir).map_err(RunError::file(dir))?.flatten();
+    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+    let mut names = names.filter(|name| is_result(name) && dir.join(name).is_file()).peekable();
+    if names.peek().is_none() {
+        return Ok(());
+    }
+    let earlier = dir.join(EARLIER);
+    let failed = RunError::file(&earlier);
+    let removed = if earlier.exists() { std::fs::remove_dir_all(&earlier) } else { Ok(()) };
+    removed.and_then(|()| std::fs::create_dir(&earlier)).map_err(failed)?;
+    for name in names {
+        let path = dir.join(&name);
+        std::fs::rename(&path, earlier.join(&name)).map_err(RunError::file(&path))?;
+    }
+    tracing::warn!("maps and report of an earlier run are in {}, until the next run here", earlier.display());
+    Ok(())
+}
+
+/// Returns whether a file of this name is a map or a report, as a run writes them at its end.
+fn is_result(name: &str) -> bool {
+    let is_robot =
+        |name: &str| name.strip_prefix("robot").is_some_and(|number| number.parse::<u32>().is_ok());
+    match name.rsplit_once('.') {
+        Some(("report", kind)) => matches!(kind, "json" | "html"),
+        Some((stem, "yaml" | "pgm" | "png")) => {
+            stem.strip_suffix("_map").is_some_and(|of| of == "merged" || is_robot(of))
+        }
+        _ => false,
     }
 }
 
@@ -65,5 +100,26 @@ mod tests {
         check("other/map").unwrap();
         drop(lock);
         inside.iter().for_each(|name| check(name).unwrap());
+    }
+
+    #[test]
+    fn results_of_the_run_before_are_kept_and_other_files_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(name);
+        let results = ["merged_map.yaml", "merged_map.pgm", "robot12_map.png", "report.json"];
+        let others = ["fleet.toml", "photo.png", "robot_map.yaml", "room.yaml"];
+        others.iter().for_each(|name| std::fs::write(place(name), "mine").unwrap());
+        for run in ["first", "second", "third"] {
+            keep_earlier_results(folder.path()).unwrap();
+            for name in results {
+                assert!(!place(name).exists(), "{run}: {name} would be overwritten");
+                std::fs::write(place(name), run).unwrap();
+            }
+        }
+        for name in results {
+            let kept = place(EARLIER).join(name);
+            assert_eq!(std::fs::read_to_string(kept).unwrap(), "second", "{name}");
+        }
+        assert!(others.iter().all(|name| place(name).exists()));
     }
 }
