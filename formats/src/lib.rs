@@ -6,6 +6,7 @@
 //! | [`map_file`] | occupancy grids as ROS's map_server reads them: YAML with a PGM or PNG image |
 //! | [`gzip`] | gzip streams, unpacked up to a limit |
 //! | [`atomic`] | files that appear whole or not at all |
+//! | [`overwriting`] | results that would replace what they are made of |
 //!
 //! Whatever the bytes, a reader ends with a sound value or an error, in bounded memory. The crate opens and writes
 //! files, but knows no clock, socket, thread or environment variable. The session format of SLAM is
@@ -16,3 +17,4 @@ pub mod carmen;
 pub mod gzip;
 pub mod limited;
 pub mod map_file;
+pub mod overwriting;

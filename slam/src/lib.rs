@@ -38,6 +38,7 @@ mod stages;
 mod submap;
 #[cfg(test)]
 mod testing;
+mod trajectory_error;
 
 #[cfg(test)]
 #[path = "../tests/common/mod.rs"]
@@ -60,6 +61,7 @@ pub use scan_buffers::NODES_IN_FLIGHT_MAX;
 pub use session::{Session, SessionError, SessionIdentity};
 pub use stages::{Stage, StageObserver};
 pub use submap::Submaps;
+pub use trajectory_error::TrajectoryError;
 
 use msg::{GridView, Odometry, Pose2, Scan, SlamMode, Stamp, TileMap};
 use std::collections::VecDeque;

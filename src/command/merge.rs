@@ -1,8 +1,8 @@
 //! Tool `mr-slam merge`, which merges map files of robots that started anywhere.
 
 use super::output;
-use super::overwriting::replaced_input;
 use formats::map_file::{self, MapFileError, read_map_with_reasons, write_map_with_reasons};
+use formats::overwriting::replaced_input;
 use merge::{AlignConfig, Alignment, MapRejected, MergeConfig, Merger, align};
 use msg::{AlignmentRefusal, Grid, GridHeader, GridView, Pose2, ROBOTS_MAX, RobotId};
 use serde_json::json;

@@ -18,7 +18,6 @@ pub mod link;
 pub mod lockstep;
 pub mod merge;
 pub mod output;
-mod overwriting;
 pub mod permissions;
 pub mod record;
 pub mod replay;

@@ -16,7 +16,6 @@ mod records;
 mod serve;
 mod summary;
 mod trajectory;
-mod trajectory_error;
 
 pub use error::ReplayError;
 pub use fleet::Starts;
@@ -36,13 +35,12 @@ use options::Replay;
 use records::{BagArgs, Log, is_recording};
 use slam::{
     BackEnd, FrontEnd, InitialPose, LocalFrameEstimate, MapFrameUpdate, Node, PlaceInMap, SessionIdentity,
-    SlamConfig,
+    SlamConfig, TrajectoryError,
 };
 use std::path::PathBuf;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 use trajectory::write_trajectory;
-use trajectory_error::TrajectoryError;
 
 /// Nodes that may wait for the back end before the log waits: then no node is held back.
 const WAITING_MAX: usize = slam::NODES_IN_FLIGHT_MAX - 2;

@@ -4,7 +4,6 @@
 
 use super::feeder::Feeder;
 use super::records::{Log, LogScan, Records};
-use super::trajectory_error::TrajectoryError;
 use super::{ReplayArgs, ReplayError, Summary, trajectory::write_trajectory};
 use crate::command::output;
 use formats::map_file::write_map_with_reasons;
@@ -12,7 +11,7 @@ use merge::{FleetPoseGraph, MergeConfig, Merger};
 use msg::{Grid, MergeEdges, Pose2, RobotId, Stamp, SubmapPoses};
 use reports::{EdgeView, edge_table};
 use serde::Serialize;
-use slam::{BackEnd, FrontEnd, Slam, SlamConfig, Submaps};
+use slam::{BackEnd, FrontEnd, Slam, SlamConfig, Submaps, TrajectoryError};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Instant;

@@ -1,10 +1,10 @@
 //! Checks before a replay that its results can be written, and replace nothing that is read: mapping takes long.
 
 use super::{ReplayArgs, ReplayError, Starts};
-use crate::command::overwriting::replaced_input;
 use crate::run::check_output;
 use crate::session_file;
 use formats::map_file;
+use formats::overwriting::replaced_input;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 

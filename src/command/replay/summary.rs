@@ -1,9 +1,10 @@
 //! Summary of a replay, for people and for programs.
 
-use super::trajectory_error::TrajectoryError;
 use recording::bag::LeftOut;
 use serde::Serialize;
-use slam::{BackEnd, ClosureSearchCounts, FrontEnd, ReliabilityEvidence, RelocalizationCounts};
+use slam::{
+    BackEnd, ClosureSearchCounts, FrontEnd, ReliabilityEvidence, RelocalizationCounts, TrajectoryError,
+};
 use std::time::Duration;
 
 /// Figures of a replay of one log.

@@ -7,7 +7,7 @@ const ENTRIES_MAX: usize = 10_000;
 
 /// Returns the first of the `outputs` that is one of the `inputs`, however both are written. What is in an input folder is an
 /// input, too. Files that do not exist yet replace nothing.
-pub(super) fn replaced_input(outputs: &[PathBuf], inputs: &[PathBuf]) -> Option<PathBuf> {
+pub fn replaced_input(outputs: &[PathBuf], inputs: &[PathBuf]) -> Option<PathBuf> {
     let canonical = |path: &Path| std::fs::canonicalize(path).ok().filter(|path| path.is_file());
     let mut read: Vec<PathBuf> = inputs.iter().filter_map(|path| canonical(path)).collect();
     for folder in inputs.iter().filter(|path| path.is_dir()) {

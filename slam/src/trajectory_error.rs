@@ -1,9 +1,9 @@
 //! Error of a trajectory where the recording has the true poses.
 
+use crate::PlaceInMap;
 use msg::pose::best_rigid_transform;
 use msg::{Pose2, Stamp};
 use serde::Serialize;
-use slam::PlaceInMap;
 
 /// Distances between the poses in the map and the true ones, after the rigid transform that fits best (absolute trajectory
 /// error; Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012).
