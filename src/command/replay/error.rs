@@ -29,7 +29,7 @@ pub enum ReplayError {
     Overwrites(PathBuf),
     /// A result is to be written into the folder of a running fleet.
     #[error(transparent)]
-    Run(#[from] crate::run::RunError),
+    Run(#[from] Box<crate::run::RunError>),
     /// The map cannot be written.
     #[error(transparent)]
     Map(#[from] MapFileError),

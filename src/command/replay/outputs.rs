@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 pub fn check(args: &ReplayArgs) -> Result<(), ReplayError> {
     check_inputs_stay(args)?;
     for path in [&args.map, &args.trajectory, &args.save_session].into_iter().flatten() {
-        check_output(path)?;
+        check_output(path).map_err(Box::new)?;
     }
     let check =
         |path: &Path| check_file(path).map_err(|source| ReplayError::Write { path: path.to_owned(), source });
