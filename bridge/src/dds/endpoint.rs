@@ -189,7 +189,7 @@ impl DdsEndpoint {
 
     /// Leaves ROS's graph: tells the other participants that the node, its readers and its writers are gone.
     ///
-    /// Call it when nobody serves the endpoint any more. It takes [`DISPOSAL`], and half a second more where a participant
+    /// Call it when nobody serves the endpoint any more. It takes `DISPOSAL`, and half a second more where a participant
     /// does not answer.
     pub async fn leave(self: Rc<Self>) {
         let graph = self.state.borrow().graph.clone();
