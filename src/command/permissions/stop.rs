@@ -11,7 +11,9 @@ use crate::storage::{DiskStorage, Storage};
 use msg::{Monotonic, PauseReason};
 use reports::BridgeState;
 use serde::Serialize;
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
+use std::thread::ScopedJoinHandle;
 use std::time::{Duration, Instant};
 
 /// How long the command asks a bridge that does not answer: one that is killed or frozen is replaced by then.
@@ -20,8 +22,6 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const LATCH_BYTES_MAX: u64 = 4096;
 /// Why a release did not release.
 const SET_ANEW: &str = "the emergency stop was set anew meanwhile and holds";
-/// Why a stop is not set.
-const RELEASED_AGAIN: &str = "the bridge has released it again";
 /// Longest wait until robots on other machines say that they are stopped: their states and the file come once a second.
 const ROBOTS_PATIENCE: Duration = Duration::from_secs(5);
 /// Period at which the file is read.
@@ -91,7 +91,7 @@ pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
     }
     // Latched everywhere before a bridge that does not answer costs time.
     let latched: Vec<_> = runs.into_iter().map(latch).collect();
-    let fleets: Vec<_> = latched.into_iter().map(confirm).chain(lost.into_iter().map(stop_lost)).collect();
+    let fleets = confirm_all(latched, lost);
     output::print_either(args.json, &fleets, || fleets.iter().map(StoppedFleet::line).collect())?;
     let (all, failed) = (fleets.len(), fleets.iter().filter(|fleet| fleet.may_drive()).count());
     if failed > 0 { Err(PermissionError::NotStopped { failed, all }) } else { Ok(()) }
@@ -120,14 +120,30 @@ fn absolute(dir: &Path) -> PathBuf {
     parent.zip(path.file_name()).map_or_else(|| path.clone(), |(parent, name)| parent.join(name))
 }
 
+/// Asks all bridges at once: the robots of one fleet do not drive on while another bridge does not answer.
+fn confirm_all(latched: Vec<Latched>, lost: Vec<LostFleet>) -> Vec<StoppedFleet> {
+    std::thread::scope(|scope| {
+        let confirmed = latched.into_iter().map(|fleet| scope.spawn(move || confirm(fleet)));
+        let mut asked: Vec<_> = confirmed.collect();
+        asked.extend(lost.into_iter().map(|fleet| scope.spawn(move || stop_lost(fleet))));
+        let answer = |thread: ScopedJoinHandle<'_, _>| thread.join().unwrap_or_else(|why| resume_unwind(why));
+        asked.into_iter().map(answer).collect()
+    })
+}
+
+/// Returns why a bridge's answer does not confirm the stop; `None` if it does.
+fn why_unconfirmed(answer: Result<BridgeState, AskError>) -> Option<String> {
+    match answer {
+        Ok(state) if state.stopped => None,
+        Ok(_) => Some("the bridge has released it again".into()),
+        Err(why) => Some(why.to_string()),
+    }
+}
+
 /// Stops a fleet whose run's folder cannot be read: its bridge still listens in its runtime folder.
 fn stop_lost(fleet: LostFleet) -> StoppedFleet {
-    let asked = match control::ask_again_in(&fleet.runtime, Request::Stop, PATIENCE) {
-        Ok(state) if state.stopped => Ok(()),
-        Ok(_) => Err(RELEASED_AGAIN.to_owned()),
-        Err(why) => Err(why.to_string()),
-    };
-    let confirmed = asked.is_ok();
+    let why_not = why_unconfirmed(control::ask_again_in(&fleet.runtime, Request::Stop, PATIENCE));
+    let confirmed = why_not.is_none();
     // What they say of themselves was in the run's folder.
     let unconfirmed =
         if fleet.has_remote_robots { vec!["its robots on other machines".into()] } else { vec![] };
@@ -135,7 +151,7 @@ fn stop_lost(fleet: LostFleet) -> StoppedFleet {
         run: fleet.folder.clone().unwrap_or_else(|| fleet.runtime.clone()),
         confirmed,
         latched: false,
-        why: Some(asked.err().unwrap_or_else(|| "its run's folder cannot be read".into())),
+        why: Some(why_not.unwrap_or_else(|| "its run's folder cannot be read".into())),
         unconfirmed,
         unheard: Vec::new(),
         lost: Some(fleet),
@@ -160,10 +176,9 @@ fn latch(dir: PathBuf) -> Latched {
 fn confirm((dir, written): Latched) -> StoppedFleet {
     let begun = crate::clock::now();
     let asked = match Run::open_running(&dir) {
-        Ok(run) => match control::ask_again(&run, Request::Stop, PATIENCE) {
-            Ok(state) if state.stopped => Ok(unconfirmed_robots(&run, begun)),
-            Ok(_) => Err(RELEASED_AGAIN.to_owned()),
-            Err(why) => Err(why.to_string()),
+        Ok(run) => match why_unconfirmed(control::ask_again(&run, Request::Stop, PATIENCE)) {
+            None => Ok(unconfirmed_robots(&run, begun)),
+            Some(why) => Err(why),
         },
         Err(why) => Err(why.to_string()),
     };
@@ -288,5 +303,47 @@ impl Released<'_> {
             text += &format!("; not confirmed by {}", self.unconfirmed.join(", "));
         }
         format!("{text} (run {})\n", self.run.display())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{BufRead, BufReader, Write};
+    use std::os::unix::net::{UnixListener, UnixStream};
+    use std::thread;
+
+    fn confirm_stop(mut stream: UnixStream) {
+        let answer = Ok::<_, String>(BridgeState { stopped: true, ..BridgeState::default() });
+        stream.write_all((serde_json::to_string(&answer).unwrap() + "\n").as_bytes()).unwrap();
+    }
+
+    #[test]
+    fn a_bridge_that_answers_late_keeps_no_other_fleet_from_its_stop() {
+        let folders = [0, 1].map(|_| tempfile::tempdir().unwrap());
+        let [late, next] =
+            folders.each_ref().map(|folder| UnixListener::bind(folder.path().join("bridge.sock")).unwrap());
+        let lost = folders.each_ref().map(|folder| LostFleet {
+            pid: None,
+            runtime: folder.path().into(),
+            folder: None,
+            missing: "run.json".into(),
+            has_remote_robots: false,
+        });
+        let fleets = thread::scope(|scope| {
+            scope.spawn(|| {
+                let (waits, _) = late.accept().unwrap();
+                // It answers when the other bridge has been asked.
+                let (asked, _) = next.accept().unwrap();
+                let mut request = String::new();
+                BufReader::new(&asked).read_line(&mut request).unwrap();
+                [asked, waits].into_iter().for_each(confirm_stop);
+            });
+            confirm_all(Vec::new(), lost.into())
+        });
+        let lines: Vec<String> = fleets.iter().map(StoppedFleet::line).collect();
+        assert!(fleets.iter().all(|fleet| !fleet.may_drive()), "{lines:?}");
+        let runs: Vec<&Path> = fleets.iter().map(|fleet| fleet.run.as_path()).collect();
+        assert_eq!(runs, folders.each_ref().map(|folder| folder.path()));
     }
 }
