@@ -4,7 +4,7 @@ import { alignMap, pointFromXr, pointToXr, poseFromXr, xrFromFrame } from "./coo
 import { compose, invert, transform } from "./geometry.js";
 import { facing, multiply, rotationAboutY, transformDirection, transformPoint, translation } from "./matrix.js";
 import { KeptAnchor } from "./xr_anchors.js";
-import { FeltChanges } from "./xr_felt.js";
+import { HapticAlerts } from "./xr_haptics.js";
 import { Controls, isDrivingHand, rayOf } from "./xr_input.js";
 import { FleetPanel, RobotPanel } from "./xr_panels.js";
 import { RAY_M, panelAt, planeAt, pointOn, robotAt } from "./xr_pointing.js";
@@ -74,7 +74,7 @@ export class MixedReality {
     this.panelsDue = 0;
     /** The run that is shown, as the fleet counts them. */
     this.run = operator.fleet.runs;
-    this.felt = new FeltChanges();
+    this.haptics = new HapticAlerts();
   }
 
   /** Begins a session. */
@@ -140,7 +140,7 @@ export class MixedReality {
     scene.update(fleet, now);
     this.updatePanels(frame, eye, gaze, now);
     this.pointers = this.controls.rays.map((ray) => this.pointerOf(ray));
-    this.felt.update(xr.session, fleet.isStopped === true, fleet.attention(now, this.operator.isConnected()));
+    this.haptics.update(xr.session, fleet.isStopped === true, fleet.attention(now, this.operator.isConnected()));
   }
 
   /** Forgets what was begun with a run that has ended, and the robots that the fleet no longer has. */

@@ -64,7 +64,7 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("view.js", SCRIPT),
     file!("xr.js", SCRIPT),
     file!("xr_anchors.js", SCRIPT),
-    file!("xr_felt.js", SCRIPT),
+    file!("xr_haptics.js", SCRIPT),
     file!("xr_hands.js", SCRIPT),
     file!("xr_input.js", SCRIPT),
     file!("xr_panels.js", SCRIPT),

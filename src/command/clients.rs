@@ -1,17 +1,13 @@
 //! Tool `mr-slam clients`, which lists the clients of a running fleet and closes connections.
 
 use super::output;
-use super::permissions::PermissionError;
+use super::permissions::{self, PermissionError};
 use super::run_args::RunArgs;
-use crate::control::{self, Request};
+use crate::control::Request;
 use bridge::ClientSelector;
 use bridge::ClientStatus;
 use serde::Serialize;
 use std::path::Path;
-use std::time::Duration;
-
-/// How long the command waits for the bridge at each step: a bridge that was killed is back by then.
-const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Arguments of `clients`
 #[derive(Clone, Debug, clap::Args)]
@@ -41,10 +37,7 @@ pub fn run(args: &ClientsArgs) -> Result<(), PermissionError> {
         Some(which) => (args.run.open_to_change()?, Request::Drop(which)),
         None => (args.run.open()?, Request::State),
     };
-    let state = control::ask_again(&run, request, PATIENCE).map_err(|why| PermissionError::Bridge {
-        run: run.dir.display().to_string(),
-        why: why.to_string(),
-    })?;
+    let state = permissions::ask(&run, request)?;
     let answer = Answer { run: &run.dir, clients: &state.clients };
     Ok(output::print_either(args.json, &answer, || state.client_table())?)
 }

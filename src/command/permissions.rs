@@ -152,7 +152,8 @@ fn list(args: &StopArgs) -> Result<(), PermissionError> {
     Ok(output::print_either(args.json, &Answer { run: &run.dir, bridge: &bridge }, text)?)
 }
 
-fn ask(run: &Run, request: Request) -> Result<BridgeState, PermissionError> {
+/// Sends a request to a run's bridge, and waits for one that is being started.
+pub(super) fn ask(run: &Run, request: Request) -> Result<BridgeState, PermissionError> {
     control::ask_again(run, request, PATIENCE)
         .map_err(|why| PermissionError::Bridge { run: run.dir.display().to_string(), why: why.to_string() })
 }

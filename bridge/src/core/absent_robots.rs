@@ -30,8 +30,7 @@ impl Core {
         let name = topic.name.clone();
         let text = format!("'{name}' belongs to no robot of this fleet, which has {}", all_robots(robots));
         self.router.send_notice(id, name::WARN, format!("__publish: {text}: no robot receives it"));
-        // What ROS 2 publishes is never unregistered, so that this kind is free for clients' topics.
-        if self.admission.ros_refusals.add(RefusalKind::NotRegistered, &name, now).is_some() {
+        if self.admission.ros_refusals.add(RefusalKind::AbsentRobot, &name, now).is_some() {
             let peer = self.router.client(id).map(|client| client.peer.to_string()).unwrap_or_default();
             self.report(format!("{peer} publishes on {text}"));
         }

@@ -14,8 +14,8 @@ use std::cell::Cell;
 /// Announcements kept for participants that have not taken them yet.
 const ANNOUNCEMENTS_MAX: i32 = 8;
 
-/// Longest time that others have to acknowledge that the node is gone. On a network they take milliseconds.
-const FAREWELL_MAX: std::time::Duration = std::time::Duration::from_millis(500);
+/// Longest time that others have to acknowledge that the node has left. On a network they take milliseconds.
+const ACKNOWLEDGMENT_MAX: std::time::Duration = std::time::Duration::from_millis(500);
 
 /// The source of what `ros2 node list` and `ros2 topic info` show.
 pub struct NodeGraphAnnouncer {
@@ -61,12 +61,12 @@ impl NodeGraphAnnouncer {
 
     /// Announces that the node is gone, and waits until all participants know it, or for a bounded time.
     ///
-    /// A participant's own farewell may be lost. Then others keep its nodes until its lease ends, 50 s later.
+    /// A participant's own message that it leaves may be lost. Then others keep its nodes until its lease ends, 50 s later.
     pub async fn leave(&self) {
         self.has_left.set(true);
         let _ =
             self.writer.write(ParticipantEntitiesInfo::new(Gid::from(self.participant), Vec::new()), None);
         // A participant that has crashed does not acknowledge.
-        let _ = tokio::time::timeout(FAREWELL_MAX, self.writer.async_wait_for_acknowledgments()).await;
+        let _ = tokio::time::timeout(ACKNOWLEDGMENT_MAX, self.writer.async_wait_for_acknowledgments()).await;
     }
 }

@@ -75,6 +75,8 @@ pub enum RefusalKind {
     Content,
     /// The message is passed on, but not kept for late subscribers.
     NotLatched,
+    /// The topic is passed on, but would be that of a robot which the fleet does not have.
+    AbsentRobot,
 }
 
 /// The client is told of the same refusal again after this time, nanoseconds: 1 s.

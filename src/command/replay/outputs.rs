@@ -17,10 +17,7 @@ pub fn check(args: &ReplayArgs) -> Result<(), ReplayError> {
     let check =
         |path: &Path| check_file(path).map_err(|source| ReplayError::Write { path: path.to_owned(), source });
     if let Some(path) = &args.map {
-        let name = path.with_extension("").file_name().unwrap_or_default().to_string_lossy().into_owned();
-        for extension in ["yaml", "pgm", "png"] {
-            check(&path.with_file_name(format!("{name}.{extension}")))?;
-        }
+        map_file::written_files(&path.with_extension("")).iter().try_for_each(|file| check(file))?;
     }
     match &args.trajectory {
         // The folder is made with its parents.

@@ -1,4 +1,4 @@
-// What the controllers let the operator feel: the emergency stop, and what newly needs attention.
+// Vibration of the controllers: when the emergency stop is set, and when something newly needs attention.
 
 import { pulse } from "./xr_input.js";
 
@@ -9,10 +9,10 @@ const STOP_PULSE = /** @type {const} */ ([1, 400]);
 const ALARM_PULSE = /** @type {const} */ ([0.5, 150]);
 
 /** Lets the controllers vibrate once at each change. */
-export class FeltChanges {
+export class HapticAlerts {
   constructor() {
     this.wasStopped = false;
-    /** Keys of the alarms that were felt. @type {Set<string>} */
+    /** Keys of the alarms that the controllers vibrated for. @type {Set<string>} */
     this.alarms = new Set();
   }
 
