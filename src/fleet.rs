@@ -27,6 +27,14 @@ pub enum FleetError {
         /// What the operating system said.
         source: io::Error,
     },
+    /// The seed of a generated room is no number.
+    #[error("room {kind}:{seed}: the seed is `{seed}`; expected a whole number from 0, as in `{kind}:7`")]
+    RoomSeed {
+        /// Kind of the generated room.
+        kind: String,
+        /// Text behind the colon.
+        seed: String,
+    },
     /// The content of the room's file is refused.
     #[error("room {path}: {source}")]
     Room {
@@ -82,6 +90,9 @@ pub fn room(config: &FleetConfig) -> Result<Room, FleetError> {
     }
     if let Some((kind, seed)) = Room::parse_generated(path) {
         return Ok(Room::generate(kind, seed));
+    }
+    if let Some((kind, seed)) = path.split_once(':').filter(|(kind, _)| RoomKind::from_name(kind).is_some()) {
+        return Err(FleetError::RoomSeed { kind: kind.into(), seed: seed.into() });
     }
     let bytes = formats::limited::read(Path::new(path), ROOM_BYTES_MAX)
         .map_err(|source| FleetError::RoomFile { path: path.into(), source })?;

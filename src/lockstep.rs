@@ -44,7 +44,7 @@ use faults::FaultPlan;
 use formats::map_file::{MapFileError, write_map_with_reasons};
 use members::{Member, World};
 use memory_storage::MemoryStorage;
-use msg::{FleetStats, GridView, Monotonic, Pose2, RobotId, Role, SlamRequest, Stamp};
+use msg::{FleetStats, GridView, MergeEdges, Monotonic, Pose2, RobotId, Role, SlamRequest, Stamp};
 use observer::Observer;
 use people::People;
 use queues::{MemoryPorts, Network, Openings, QueueWriter};
@@ -218,6 +218,11 @@ impl Lockstep {
     /// Returns the newest figures.
     pub fn stats(&self) -> &FleetStats {
         &self.observer.newest
+    }
+
+    /// Returns the newest edges between robots' maps.
+    pub fn merge_edges(&self) -> &MergeEdges {
+        self.observer.merge_edges()
     }
 
     /// Returns every map received so far, with its name.

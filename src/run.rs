@@ -14,7 +14,7 @@
 mod folder;
 mod running;
 
-pub use folder::{check_output, keep_earlier_results, lock_folder};
+pub use folder::{check_output, keep_earlier_results, lock_folder, restore_folder};
 pub use running::{LostFleet, RunningFleets};
 
 use crate::channel::Opener;
@@ -160,6 +160,8 @@ pub struct Run {
     pub port: u16,
     /// Configuration with the command line's options applied.
     pub config: FleetConfig,
+    /// Content of `run.json`.
+    file: RunFile,
     /// Locks of the launcher, which say that it lives. They end with its process.
     _locks: Option<Arc<[Lock; 2]>>,
 }
@@ -216,18 +218,23 @@ impl Run {
         let epoch = if config.world.is_external() { Epoch::unix() } else { Epoch::now() };
         let (epoch_ns, begun_ns) = (epoch.monotonic_ns, crate::clock::now().0);
         let file = RunFile { pid, domain, runtime, epoch_ns, begun_ns, port };
-        let run = Self::from_file(dir, file.clone(), config)?;
-        let toml = run.config.to_toml();
-        let toml_path = run.dir.join("fleet.toml");
-        formats::atomic::write(&toml_path, |file| file.write_all(toml.as_bytes()))
-            .map_err(RunError::file(&toml_path))?;
-        let json = serde_json::to_string_pretty(&file).unwrap_or_default();
-        let path = run.dir.join("run.json");
-        formats::atomic::write_durably(&path, |file| file.write_all(json.as_bytes()))
-            .map_err(RunError::file(&path))?;
+        let run = Self::from_file(dir, file, config)?;
+        run.write_description()?;
         // `mr-slam status` finds the run by it without knowing its folder.
         running::write_pointer(&run)?;
         Ok(Self { _locks: Some(Arc::new([dir_lock, lock])), ..run })
+    }
+
+    /// Writes `fleet.toml` and `run.json`, by which the fleet's processes and other programs know the run.
+    fn write_description(&self) -> Result<(), RunError> {
+        let toml = self.config.to_toml();
+        let path = self.dir.join("fleet.toml");
+        formats::atomic::write(&path, |file| file.write_all(toml.as_bytes()))
+            .map_err(RunError::file(&path))?;
+        let json = serde_json::to_string_pretty(&self.file).unwrap_or_default();
+        let path = self.dir.join("run.json");
+        formats::atomic::write_durably(&path, |file| file.write_all(json.as_bytes()))
+            .map_err(RunError::file(&path))
     }
 
     /// Creates a run without folder or shared memory, for lockstep, whose files and channels are in memory.
@@ -251,10 +258,10 @@ impl Run {
     }
 
     fn from_file(dir: PathBuf, file: RunFile, config: FleetConfig) -> Result<Self, RunError> {
-        let RunFile { pid, domain, runtime, epoch_ns, begun_ns, port } = file;
+        let RunFile { pid, epoch_ns, begun_ns, port, .. } = file;
         let (epoch, begun) = (Epoch { monotonic_ns: epoch_ns }, Monotonic(begun_ns));
-        let domain = Domain::new(&domain, &runtime)?;
-        Ok(Self { dir, pid, domain, epoch, begun, port, config, _locks: None })
+        let domain = Domain::new(&file.domain, &file.runtime)?;
+        Ok(Self { dir, pid, domain, epoch, begun, port, config, file, _locks: None })
     }
 
     /// Returns whether the run's launcher is alive.

@@ -4,11 +4,15 @@
 //! like one that died.
 
 use crate::clock::now;
+use crate::process::control::saved_state::{latch_stop, stop_file};
 use crate::processes::ProcessRow;
 use crate::progress::{self, ProgressBoard, WatchedThread};
 use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
-use crate::run::Run;
+use crate::run::{Run, restore_folder};
+use crate::runtime_folder::Lock;
+use crate::sessions;
 use crate::shared_memory::{SHARED_MEMORY, close_descriptors_on_exec};
+use crate::storage::DiskStorage;
 use crate::watchdog::{Finding, ThreadState, Watchdog};
 use msg::{Monotonic, Pose2, RobotId, Role};
 use rustix::process::{Pid, Signal, kill_process};
@@ -60,6 +64,20 @@ pub struct Supervisor {
     listener: TcpListener,
     members: Vec<Member>,
     progress: ProgressBoard,
+    folder: RunFolder,
+}
+
+/// What has become of the run's folder.
+enum RunFolder {
+    /// It is the one that the launcher has made.
+    Original,
+    /// It was moved or deleted, and made anew.
+    Restored {
+        /// Lock of the new folder.
+        _lock: Lock,
+    },
+    /// It was moved or deleted, and cannot be made anew.
+    Missing,
 }
 
 impl Supervisor {
@@ -70,7 +88,8 @@ impl Supervisor {
         let members = run.config.processes().map(|(row, robot)| Member::new(row, robot, now));
         let members: Vec<Member> = members.collect();
         let progress = ProgressBoard::create(&run.domain, members.len())?;
-        let mut supervisor = Self { run: run.clone(), listener, members, progress };
+        let folder = RunFolder::Original;
+        let mut supervisor = Self { run: run.clone(), listener, members, progress, folder };
         supervisor.tend(&mut |_, _| None, &mut |_| {});
         let missing = supervisor.members.iter().find(|member| member.child.is_none()).map(Member::name);
         match missing {
@@ -85,6 +104,7 @@ impl Supervisor {
     /// Detects children that ended or hang, and starts again those that are due. Never blocks. A robot's process gets the pose
     /// where it was `last_seen`. `tell` is called with each event.
     pub fn tend(&mut self, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
+        self.keep_folder(tell);
         let mut died = false;
         for member in &mut self.members {
             died |= notice_death(member, tell);
@@ -98,6 +118,43 @@ impl Supervisor {
         for index in order {
             self.start_if_due(index, last_seen, tell);
         }
+    }
+
+    /// Makes the run's folder anew if it is gone: the children that are started again read it.
+    fn keep_folder(&mut self, tell: &mut dyn FnMut(String)) {
+        let dir = self.run.dir.display();
+        match restore_folder(&self.run) {
+            Ok(None) => {}
+            Ok(Some(lock)) => {
+                tell(format!(
+                    "the run's folder {dir} was moved or deleted and is made anew, without what was saved there; \
+                     a bridge that is started again stops the robots"
+                ));
+                // SLAM goes on saving its maps there.
+                let sessions = sessions::folder(&self.run);
+                if let Err(why) = std::fs::create_dir_all(&sessions) {
+                    tell(format!("maps are not saved: {}: {why}", sessions.display()));
+                }
+                self.folder = RunFolder::Restored { _lock: lock };
+            }
+            Err(why) => {
+                if !matches!(self.folder, RunFolder::Missing) {
+                    tell(format!(
+                        "the run's folder was moved or deleted, and no process can be started again: {why}"
+                    ));
+                }
+                self.folder = RunFolder::Missing;
+            }
+        }
+    }
+
+    /// Sets the emergency stop for a bridge that is started again, if what the bridge before has saved is gone: the robots may have been
+    /// stopped, and addresses denied.
+    fn stop_if_unknown(&self, role: Role) -> io::Result<()> {
+        if role != Role::Bridge || matches!(self.folder, RunFolder::Original) {
+            return Ok(());
+        }
+        latch_stop(&DiskStorage, &stop_file(&self.run.dir), now())
     }
 
     /// Kills children that hang, so that they are started again, and reports those that are slow.
@@ -139,7 +196,8 @@ impl Supervisor {
             return;
         }
         let place = robot.and_then(|robot| last_seen(row.role, robot));
-        let started = self.progress.clear(index).and_then(|()| self.spawn(row, robot, place));
+        let cleared = self.progress.clear(index).and_then(|()| self.stop_if_unknown(row.role));
+        let started = cleared.and_then(|()| self.spawn(row, robot, place));
         let member = &mut self.members[index];
         match started {
             Ok(child) => {

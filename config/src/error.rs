@@ -20,14 +20,16 @@ pub enum ConfigError {
         why: std::io::Error,
     },
     /// The file is no TOML, has an unknown key or a value of the wrong type.
-    #[error("{}:{line}: {}", path.display(), why.message())]
+    #[error("{}:{line}: {setting}{}", path.display(), why.message())]
     Syntax {
         /// Path of the file.
         path: PathBuf,
         /// Line number, from 1.
         line: usize,
+        /// What is set there, such as `` `fleet.robots = "three"`:  ``; empty if the text is no TOML.
+        setting: String,
         /// Error of the parser.
-        why: toml::de::Error,
+        why: Box<toml::de::Error>,
     },
     /// A value of the file is out of range.
     #[error("{}:{line}: {why}", path.display())]
@@ -172,6 +174,44 @@ impl ValueError {
 /// Returns the line number, from 1, of a byte of the text.
 pub(super) fn line_of(text: &str, byte: usize) -> usize {
     1 + text.as_bytes()[..byte.min(text.len())].iter().filter(|b| **b == b'\n').count()
+}
+
+/// Longest value that an error repeats, characters.
+const VALUE_SHOWN_MAX: usize = 60;
+
+/// Returns the key that the text sets at a byte, with its value if that is short; empty if it sets none there.
+pub(super) fn setting_at(text: &str, byte: usize) -> String {
+    let Ok(root) = DeTable::parse(text) else { return String::new() };
+    let Some((key, value)) = innermost(root.get_ref(), "", byte) else { return String::new() };
+    let written = text.get(value.span()).unwrap_or_default();
+    let is_short = written.chars().count() <= VALUE_SHOWN_MAX && !written.contains('\n');
+    match value.get_ref() {
+        DeValue::Table(_) => format!("`{key}`: "),
+        _ if is_short => format!("`{key} = {written}`: "),
+        _ => format!("`{key}`: "),
+    }
+}
+
+/// Returns the innermost key, as a dotted path, that or whose value is written at a byte, and the value. A table that a header or
+/// dotted keys make is not written in one place, so all are searched.
+fn innermost<'a, 'i>(
+    table: &'a DeTable<'i>,
+    prefix: &str,
+    byte: usize,
+) -> Option<(String, &'a Spanned<DeValue<'i>>)> {
+    table.iter().find_map(|(key, value)| {
+        let path = format!("{prefix}{}", key.get_ref());
+        let below = match value.get_ref() {
+            DeValue::Table(below) => innermost(below, &format!("{path}."), byte),
+            DeValue::Array(list) => list.iter().enumerate().find_map(|(index, element)| {
+                let DeValue::Table(below) = element.get_ref() else { return None };
+                innermost(below, &format!("{path}[{index}]."), byte)
+            }),
+            _ => None,
+        };
+        let is_here = key.span().contains(&byte) || value.span().contains(&byte);
+        below.or_else(|| is_here.then_some((path, value)))
+    })
 }
 
 /// Returns the line, from 1, on which the text sets the key with this dotted path; `None` if it does not set it.

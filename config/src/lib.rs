@@ -233,8 +233,9 @@ impl FleetConfig {
     /// Parses a file's text over the default.
     fn parse(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let wrong = |why: toml::de::Error| {
-            let line = error::line_of(text, why.span().map_or(0, |span| span.start));
-            ConfigError::Syntax { path: path.into(), line, why }
+            let byte = why.span().map_or(0, |span| span.start);
+            let (line, setting) = (error::line_of(text, byte), error::setting_at(text, byte));
+            ConfigError::Syntax { path: path.into(), line, setting, why: why.into() }
         };
         // Parsed alone first, since its errors have lines; then laid over the default, table by table.
         toml::from_str::<Self>(text).map_err(wrong)?;

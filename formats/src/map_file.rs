@@ -112,6 +112,15 @@ pub fn write_map_with_reasons(stem: &Path, grid: GridView<'_>, reasons: &[&str])
     write_whole(&yaml, |file| file.write_all(describe(name, grid.header, reasons).as_bytes()))
 }
 
+/// Returns the path of a map without its extension, however a person gave it: with that of one of its files, or with none. Other
+/// points belong to the name, as in `map.v2`.
+pub fn stem(path: &Path) -> PathBuf {
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("yaml" | "yml" | "pgm" | "png") => path.with_extension(""),
+        _ => path.into(),
+    }
+}
+
 /// Returns the files that [`write_map`] writes: PGM, YAML and PNG.
 pub fn written_files(stem: &Path) -> [PathBuf; 3] {
     ["pgm", "yaml", "png"].map(|extension| with_extension(stem, extension))

@@ -2,11 +2,13 @@
 //!
 //! Sessions need the feature `zenoh`, which takes long to compile. Endpoints and keys do not.
 
+mod connection_log;
 mod endpoint;
 pub mod keys;
 #[cfg(feature = "zenoh")]
 mod session;
 
+pub use connection_log::ConnectionLog;
 pub use endpoint::{Endpoint, EndpointError, Protocol};
 #[cfg(feature = "zenoh")]
 pub use session::{Router, SessionConfig, SessionError, SessionRole, ZenohTransport};

@@ -132,7 +132,7 @@ impl Series {
             series.robot.clone_from(&robot.robot);
             series.known_m2.push(known_m2(&robot.map).unwrap_or(0.0));
             series.scan_hz.push(robot.scan_hz_last_second);
-            series.pose.push((robot.scans > 0).then_some(robot.pose));
+            series.pose.push(robot.pose);
             series.linear_m_s.push(linear);
             series.angular_rad_s.push(angular);
         }

@@ -85,8 +85,8 @@ pub struct RobotView {
     pub scan_to_pose_ms: DistributionView,
     /// Delay from the simulator's scan to the map that contains it, milliseconds.
     pub scan_to_map_ms: DistributionView,
-    /// Pose of `base_footprint` in `robotK/map`: x m, y m, yaw rad.
-    pub pose: [f64; 3],
+    /// Pose of `base_footprint` in `robotK/map`: x m, y m, yaw rad; `None`: no scan yet, or the robot is lost.
+    pub pose: Option<[f64; 3]>,
     /// Distance of SLAM's pose from the true pose, metres; `None`: not a simulation.
     pub pose_error_m: Option<f64>,
     /// Number of nodes in the pose graph.
@@ -272,6 +272,7 @@ impl RobotView {
 
     fn new(robot: RobotId, stats: &RobotStats) -> Self {
         let Pose2 { x_m, y_m, yaw_rad } = stats.map_from_base;
+        let has_pose = stats.scans > 0 && stats.state != TrackingState::Lost as u32;
         Self {
             robot: robot.to_string(),
             state: TrackingState::from_code(stats.state).map_or("?", TrackingState::name),
@@ -283,7 +284,7 @@ impl RobotView {
             tf_jitter_ms: DistributionView::new(&stats.tf_jitter_ms),
             scan_to_pose_ms: DistributionView::new(&stats.scan_to_pose_ms),
             scan_to_map_ms: DistributionView::new(&stats.scan_to_map_ms),
-            pose: [x_m, y_m, yaw_rad],
+            pose: has_pose.then_some([x_m, y_m, yaw_rad]),
             pose_error_m: finite(stats.pose_error_m),
             nodes: stats.nodes,
             closures: stats.closures,

@@ -86,7 +86,8 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
         return Err(why.into());
     }
     let exploration = exploration.map(WatchedExploration::outcome);
-    let view = FleetView::new(fleet.stats());
+    let view = FleetView::new(fleet.stats()).with_edges(fleet.merge_edges());
+    let view = view.without_given_transforms(config.fleet.starts_known);
     let report = serde_json::json!({
         "sha256": hash, "maps_sha256": maps_hash, "times_real_time": faster, "fleet": view, "recording": recorded,
         "exploration": exploration,

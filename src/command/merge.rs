@@ -1,6 +1,7 @@
 //! Tool `mr-slam merge`, which merges map files of robots that started anywhere.
 
 use super::output;
+use crate::run::{RunError, check_output};
 use formats::map_file::{self, MapFileError, read_map_with_reasons, write_map_with_reasons};
 use formats::overwriting::replaced_input;
 use merge::{AlignConfig, Alignment, MapRejected, MergeConfig, Merger, align};
@@ -52,6 +53,9 @@ pub enum MergeMapsError {
         /// Path of the file.
         file: PathBuf,
     },
+    /// The result would lie in the folder of a running fleet.
+    #[error("--out: {0}")]
+    Output(#[from] Box<RunError>),
     /// More maps than robots in the largest fleet.
     #[error("{0} maps; expected 2 to {ROBOTS_MAX}")]
     TooMany(usize),
@@ -78,8 +82,9 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
     if args.maps.len() > ROBOTS_MAX {
         return Err(MergeMapsError::TooMany(args.maps.len()));
     }
-    let out = args.out.as_deref().map(stem_of);
+    let out = args.out.as_deref().map(map_file::stem);
     if let Some(out) = &out {
+        check_output(out).map_err(Box::new)?;
         check_inputs_stay(&args.maps, out)?;
     }
     let maps = args.maps.iter().map(|yaml| read_map_with_reasons(yaml)).collect::<Result<Vec<_>, _>>()?;
@@ -112,11 +117,6 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
         write_map_with_reasons(out, GridView { header: &header, cells: merged.cells }, &reasons)?;
     }
     Ok(())
-}
-
-/// Returns the path of the result's files without their extension.
-fn stem_of(out: &Path) -> PathBuf {
-    if out.extension().is_some_and(|e| e == "yaml") { out.with_extension("") } else { out.into() }
 }
 
 /// Refuses a result that would replace a file of the maps.

@@ -2,7 +2,6 @@
 
 pub mod clients;
 mod confirmation;
-mod connection_log;
 mod coordinates;
 pub mod demo;
 pub mod doctor;

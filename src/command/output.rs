@@ -1,6 +1,6 @@
 //! Printing of results and progress. A reader that has gone (`mr-slam status --json | head`) is no error.
 
-use super::connection_log::ConnectionLog;
+use link_transport::ConnectionLog;
 use serde::Serialize;
 use std::io::{self, Write};
 use tracing_subscriber::filter::Targets;

@@ -28,7 +28,7 @@ use crate::session_file;
 use crate::sessions::TOLD_SIGMA;
 use clap::builder::RangedU64ValueParser;
 use feeder::Feeder;
-use formats::map_file::write_map_with_reasons;
+use formats::map_file::{self, write_map_with_reasons};
 use merge::MergeConfig;
 use msg::{Pose2, Stamp};
 use options::Replay;
@@ -153,16 +153,17 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     let mut replayed = feed(&log, config, args)?;
     let wall_s = start.elapsed().as_secs_f64();
     replayed.summary.wall_s = Some(wall_s);
-    replayed.summary.times_real_time = Some(replayed.duration_s / wall_s);
+    replayed.summary.times_real_time = Some((replayed.ended - replayed.started) / wall_s);
     finish(args, replayed, log.truth())
 }
 
 fn finish(args: &ReplayArgs, replayed: Replayed, truth: &[(Stamp, Pose2)]) -> Result<(), ReplayError> {
-    let Replayed { front, mut back, mut summary, localized, .. } = replayed;
+    let Replayed { front, mut back, mut summary, localized, ended, .. } = replayed;
     let trajectory: Vec<(Stamp, Pose2, PlaceInMap)> = match localized {
         Some(poses) => poses.into_iter().map(|(stamp, pose)| (stamp, pose, PlaceInMap::Known)).collect(),
         None => back.trajectory_with_places(front.samples()).collect(),
     };
+    summary.set_end(trajectory.last().filter(|(stamp, _, _)| *stamp == ended));
     summary.error = TrajectoryError::of_placed(&trajectory, truth);
     if let Some(path) = &args.trajectory {
         write_trajectory(path, trajectory.into_iter())
@@ -177,7 +178,7 @@ fn finish(args: &ReplayArgs, replayed: Replayed, truth: &[(Stamp, Pose2)]) -> Re
     summary.map_ms = Some(drawing.elapsed().as_secs_f64() * 1e3);
     (summary.map_width, summary.map_height) = (Some(grid.header.width), Some(grid.header.height));
     if let Some(path) = &args.map {
-        write_map_with_reasons(&path.with_extension(""), grid, &summary.unreliable_reasons)?;
+        write_map_with_reasons(&map_file::stem(path), grid, &summary.unreliable_reasons)?;
     }
     Ok(output::print_either(args.json, &summary, || summary.text())?)
 }
@@ -189,7 +190,10 @@ struct Replayed {
     /// In localization, the pose in the map of each scan that got one: the map's graph does not have these scans.
     localized: Option<Vec<(Stamp, Pose2)>>,
     summary: Summary,
-    duration_s: f64,
+    /// Stamp of the first scan.
+    started: Stamp,
+    /// Stamp of the last scan.
+    ended: Stamp,
 }
 
 fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed, ReplayError> {
@@ -241,11 +245,9 @@ fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed
         summary.back_end_ms = Percentiles::of(back_end.join().unwrap_or_default());
     });
     (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.skipped());
-    summary.left_out = log.left_out().into();
+    summary.count_log(log);
     summary.count(&front, &back);
-    let Pose2 { x_m, y_m, yaw_rad } = back.latest_frame_update().map_from_local * front.local_from_base();
-    summary.ends_at = [x_m, y_m, yaw_rad];
-    Ok(Replayed { front, back, localized, summary, duration_s: ended - started })
+    Ok(Replayed { front, back, localized, summary, started, ended })
 }
 
 /// Creates front end and back end, new or from a session.

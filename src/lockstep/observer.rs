@@ -93,6 +93,11 @@ impl Observer {
         }
     }
 
+    /// Returns the newest edges between robots' maps.
+    pub fn merge_edges(&self) -> &MergeEdges {
+        &self.newest_edges
+    }
+
     /// Returns every map received so far, with its name and the reasons why it is unreliable.
     pub fn maps(&mut self) -> impl Iterator<Item = (&str, GridView<'_>, Vec<String>)> {
         let (unreliable, transforms) = (self.unreliable, self.newest_transforms.as_deref());

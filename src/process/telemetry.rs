@@ -51,7 +51,12 @@ fn draw_room_in_background(run: &Run) -> Option<Receiver<Grid>> {
 /// Returns the plan of a simulated room, frame `world`. Other worlds have none.
 pub fn room_plan(config: &FleetConfig) -> Result<Option<Grid>, FleetError> {
     match config.world {
-        RobotSource::Simulator => Ok(Some(fleet::room(config)?.floor_plan(PLAN_RESOLUTION_M))),
+        RobotSource::Simulator => {
+            let room = fleet::room(config)?;
+            let starts_m: Vec<_> =
+                fleet::starts(config, &room)?.iter().map(|start| [start.x_m, start.y_m]).collect();
+            Ok(Some(room.floor_plan_from(PLAN_RESOLUTION_M, &starts_m)))
+        }
         RobotSource::Headset | RobotSource::Ros | RobotSource::Robots => Ok(None),
     }
 }

@@ -1,6 +1,6 @@
 //! A run's folder is written by one fleet at a time, and what the run before left there is kept.
 
-use super::{RunError, RunFile};
+use super::{Run, RunError, RunFile, create_folder};
 use crate::runtime_folder::Lock;
 use std::path::Path;
 
@@ -16,6 +16,20 @@ pub fn lock_folder(dir: &Path) -> Result<Lock, RunError> {
     let lock = dir.join(LOCK);
     let locked = Lock::acquire(&lock).map_err(RunError::file(&lock))?;
     locked.ok_or_else(|| RunError::FolderInUse { dir: dir.into(), pid: launcher(dir) })
+}
+
+/// Makes the folder of a running fleet anew if it was moved or deleted, so that its processes can be started again. Returns the new
+/// folder's lock; `None` if the folder is there.
+///
+/// # Errors
+/// The folder cannot be made, or another fleet runs in it.
+pub fn restore_folder(run: &Run) -> Result<Option<Lock>, RunError> {
+    if run.dir.join("run.json").exists() {
+        return Ok(None);
+    }
+    let lock = lock_folder(&create_folder(&run.dir)?)?;
+    run.write_description()?;
+    Ok(Some(lock))
 }
 
 /// Checks that a file or folder of results does not lie in the folder of a running fleet.

@@ -65,7 +65,7 @@ fn say(words: &[&str], dir: &str) -> String {
 }
 
 fn distance(view: &reports::FleetView) -> f64 {
-    view.robots.first().map_or(0.0, |robot| robot.pose[0].hypot(robot.pose[1]))
+    view.robots.first().and_then(|robot| robot.pose).map_or(0.0, |[x, y, _]| x.hypot(y))
 }
 
 #[test]

@@ -26,7 +26,13 @@ fn unknown_keys_are_refused() {
 
 #[test]
 fn values_of_the_wrong_type_are_refused() {
-    refused("[fleet]\n\nrobots = \"three\"\n", 3, &["three"]);
+    refused("[fleet]\n\nrobots = \"three\"\n", 3, &["`fleet.robots = \"three\"`"]);
+    refused(
+        "[bridge.dds]\ndomain = \"5\"\n",
+        2,
+        &["`bridge.dds.domain = \"5\"`", "\"environment\"", "without quotes"],
+    );
+    refused("[bridge]\nallow = [\"everywhere\"]\n", 2, &["`bridge.allow = [\"everywhere\"]`", "IP address"]);
     refused("[fleet\n", 1, &[]);
 }
 
@@ -43,7 +49,11 @@ fn values_out_of_range_are_refused() {
 fn missing_or_invalid_room_files_are_refused() {
     let folder = Folder::new();
     let text = folder.file("room.obj", "v 1 2 nan\n");
-    for (room, word) in [("/nowhere/room.glb", "/nowhere/room.glb"), (text.to_str().unwrap(), "room.obj")] {
+    for (room, word) in [
+        ("/nowhere/room.glb", "/nowhere/room.glb"),
+        (text.to_str().unwrap(), "room.obj"),
+        ("office:abc", "a whole number from 0, as in `office:7`"),
+    ] {
         let up = output(&["up", "--port", "0", "--room", room]);
         assert!(!up.status.success());
         let said = String::from_utf8_lossy(&up.stderr).into_owned();
@@ -106,14 +116,19 @@ fn files_that_set(key: &str, value: &str) -> [String; 3] {
     ]
 }
 
-/// Returns what is wrong with the refusal of a value: each file that sets it must be refused at its fifth line.
+/// Returns what is wrong with the refusal of a value: each file that sets it must be refused at its fifth line, by the key's name.
 fn faults_of_refusal(key: &str, value: &str) -> Vec<String> {
     let mut faults = Vec::new();
     for text in files_that_set(key, value) {
         match FleetConfig::from_text(Path::new("fleet.toml"), &text).err().map(|why| why.to_string()) {
             None => faults.push(format!("{key} = {value} is accepted")),
-            Some(why) if why.starts_with("fleet.toml:5: ") => {}
-            Some(why) => faults.push(format!("{key} = {value} is refused elsewhere: {why} in:\n{text}")),
+            Some(why) if !why.starts_with("fleet.toml:5: ") => {
+                faults.push(format!("{key} = {value} is refused elsewhere: {why} in:\n{text}"));
+            }
+            Some(why) if !why.contains(key) => {
+                faults.push(format!("{key} = {value} is refused without its name: {why} in:\n{text}"));
+            }
+            Some(_) => {}
         }
     }
     faults

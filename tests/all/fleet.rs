@@ -50,7 +50,7 @@ fn an_operator_drives_a_fleet_over_tcp() {
     let mut fleet = Fleet::start("demo", &["--robots", "1"]);
     let moved = |pose: [f64; 3]| pose[0].hypot(pose[1]);
     let view = fleet.until("a robot half a metre away", |view| {
-        view.robots.first().is_some_and(|robot| moved(robot.pose) > 0.5)
+        view.robots.first().and_then(|robot| robot.pose).is_some_and(|pose| moved(pose) > 0.5)
     });
     assert_eq!(view.robots[0].scans_lost, 0);
     let ended = fleet.end(Signal::INT);

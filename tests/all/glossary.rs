@@ -78,15 +78,19 @@ fn retired_names_are_gone_and_have_a_successor() {
 
 #[test]
 fn retired_phrases_are_gone() {
-    let phrases: Vec<(String, String)> =
-        table("## Retired phrases").into_iter().map(|row| (row[0].to_lowercase(), row[1].clone())).collect();
+    let phrases: Vec<(Phrase, String, String)> = table("## Retired phrases")
+        .into_iter()
+        .map(|row| (Phrase::parse(&row[0].to_lowercase()), row[0].clone(), row[1].clone()))
+        .collect();
     let mut found = Vec::new();
     for (_, folder) in crates() {
         for source in product_files(&folder) {
             for (number, passage) in passages(&source.text) {
-                let hit = phrases.iter().find(|(phrase, _)| contains_phrase(&passage, phrase));
+                let lower = passage.to_lowercase();
+                let words = words(&lower);
+                let hit = phrases.iter().find(|(phrase, ..)| phrase.is_in(&words));
                 let place = || format!("{}:{number}", source.path);
-                found.extend(hit.map(|(old, new)| format!("{}: \"{old}\" -> {new}", place())));
+                found.extend(hit.map(|(_, old, new)| format!("{}: \"{old}\" -> {new}", place())));
             }
         }
     }
@@ -113,29 +117,52 @@ fn passages(text: &str) -> Vec<(usize, String)> {
     passages
 }
 
-/// Whether a text contains a phrase within one clause. `takes/took` in the phrase is one of these words, `...` is up to
-/// [`GAP_MAX`] words.
-fn contains_phrase(text: &str, phrase: &str) -> bool {
+/// The words of a text in lower case, with [`CLAUSE_END`] where a clause ends.
+fn words(text: &str) -> Vec<&str> {
     let mut words = Vec::new();
-    let lower = text.to_lowercase();
-    for word in lower.split_whitespace() {
+    for word in text.split_whitespace() {
         words.push(word.trim_matches(|c: char| !(c.is_alphanumeric() || c == '_')));
         words.extend(word.ends_with([',', '.', ';', ':']).then_some(CLAUSE_END));
     }
-    let phrase: Vec<&str> = phrase.split_whitespace().collect();
-    (0..words.len()).any(|first| begins_with_phrase(&words[first..], &phrase))
+    words
 }
 
-fn begins_with_phrase(words: &[&str], phrase: &[&str]) -> bool {
+/// A phrase within one clause. `takes/took` in it is one of these words, `...` is up to [`GAP_MAX`] words.
+struct Phrase(Vec<PhrasePart>);
+
+/// A part of a phrase.
+enum PhrasePart {
+    /// One of these words.
+    Word(Vec<String>),
+    /// Up to [`GAP_MAX`] words.
+    Gap,
+}
+
+impl Phrase {
+    fn parse(text: &str) -> Self {
+        let part = |part| match part {
+            "..." => PhrasePart::Gap,
+            forms => PhrasePart::Word(forms.split('/').map(str::to_owned).collect()),
+        };
+        Self(text.split_whitespace().map(part).collect())
+    }
+
+    /// Whether the words contain the phrase.
+    fn is_in(&self, words: &[&str]) -> bool {
+        (0..words.len()).any(|first| begins_with(&words[first..], &self.0))
+    }
+}
+
+fn begins_with(words: &[&str], phrase: &[PhrasePart]) -> bool {
     match phrase {
         [] => true,
-        ["...", rest @ ..] => {
+        [PhrasePart::Gap, rest @ ..] => {
             let clause = words.iter().take(GAP_MAX).take_while(|word| **word != CLAUSE_END).count();
-            (0..=clause).any(|gap| begins_with_phrase(&words[gap..], rest))
+            (0..=clause).any(|gap| begins_with(&words[gap..], rest))
         }
-        [forms, rest @ ..] => {
-            let is_next = |word: &&str| forms.split('/').any(|form| form == *word);
-            words.first().is_some_and(is_next) && begins_with_phrase(&words[1..], rest)
+        [PhrasePart::Word(forms), rest @ ..] => {
+            let is_next = |word: &&str| forms.iter().any(|form| form == word);
+            words.first().is_some_and(is_next) && begins_with(&words[1..], rest)
         }
     }
 }
@@ -145,14 +172,15 @@ fn phrases_are_found_across_lines_and_in_each_form() {
     let text = "fn a() {}\n    /// It Takes the\n    /// closure (back).\n    back();\n";
     let passages = passages(text);
     assert_eq!(passages.iter().map(|(number, _)| *number).collect::<Vec<_>>(), [1, 2, 4]);
-    assert!(contains_phrase(&passages[1].1, "take/takes ... back"));
-    assert!(!contains_phrase(&passages[1].1, "take/took ... back"));
+    let contains = |text: &str, phrase| Phrase::parse(phrase).is_in(&words(&text.to_lowercase()));
+    assert!(contains(&passages[1].1, "take/takes ... back"));
+    assert!(!contains(&passages[1].1, "take/took ... back"));
     for other in [
         "it takes long, so the back end",
         "it takes them. Back",
         "takes one or two or three back",
         "retakes it back",
     ] {
-        assert!(!contains_phrase(other, "takes ... back"), "{other}");
+        assert!(!contains(other, "takes ... back"), "{other}");
     }
 }

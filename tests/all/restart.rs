@@ -1,6 +1,6 @@
 //! A killed process is restarted, and the other processes are not affected.
 
-use crate::harness::{Fleet, WATCHDOG, process, send};
+use crate::harness::{Fleet, Folder, WATCHDOG, output, process, send};
 use reports::FleetView;
 use rustix::process::Signal;
 
@@ -74,6 +74,35 @@ fn stopped_processes_are_replaced() {
         let event = format!("the {name} has not answered for");
         assert!(report.contains(&event), "no `{event}` in {report}");
     }
+}
+
+#[test]
+fn a_fleet_whose_folder_was_moved_makes_it_anew_and_its_next_bridge_stops_the_robots() {
+    let mut fleet = Fleet::start("up", &["--robots", "1"]);
+    let before = fleet.until("all processes", |view| {
+        let has = |name| process(view, name).is_some();
+        has("bridge") && has("slam of robot1") && view.robots.iter().all(|robot| robot.scans >= 20)
+    });
+    let elsewhere = Folder::new();
+    std::fs::rename(fleet.folder.path(), elsewhere.path().join("moved")).unwrap();
+    for name in ["bridge", "slam of robot1"] {
+        send(process(&before, name).unwrap().pid, Signal::KILL);
+    }
+    fleet.until("the returns", |view| {
+        let is_back = |name| process(view, name).is_some_and(|p| p.state == "up" && p.restarts == 1);
+        let is_tracking = view.robots.iter().all(|robot| robot.state == "tracking" && robot.scans >= 20);
+        is_back("bridge") && is_back("slam of robot1") && is_tracking
+    });
+    let folder = fleet.folder.path().to_str().unwrap().to_owned();
+    let status = output(&["status", "--json", "--run-dir", &folder]);
+    let status: serde_json::Value = serde_json::from_slice(&status.stdout).unwrap();
+    assert_eq!(status["bridge"]["stopped"], true, "what was saved of a stop is gone: {status}");
+    let released = output(&["release", "--run-dir", &folder]);
+    assert!(released.status.success(), "{released:?}");
+    let ended = fleet.end(Signal::TERM);
+    assert!(ended.success);
+    let report = std::fs::read_to_string(ended.folder.path().join("report.json")).unwrap();
+    assert!(report.contains("was moved or deleted and is made anew"), "{report}");
 }
 
 #[test]

@@ -18,7 +18,7 @@ pub(super) const DOMAIN_MAX: u16 = 232;
 
 /// A setting of the fleet file, or `"environment"`: as ROS 2's environment variables say.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected \"environment\", or a number or true or false without quotes")]
 pub enum OrEnvironment<T> {
     /// `"environment"`: the variables decide.
     #[default]

@@ -1,4 +1,4 @@
-//! Warnings for clients that publish for a robot that the fleet does not have: nobody receives such messages.
+//! Warnings for clients that publish or subscribe for a robot that the fleet does not have: nobody receives or sends such messages.
 
 use super::Core;
 use crate::command::name;
@@ -6,40 +6,62 @@ use crate::router::{ClientId, RefusalKind, Source, TopicId};
 use msg::Monotonic;
 use ros_messages::RobotNames;
 
+/// Way in which a client uses a topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum TopicUse {
+    /// It publishes messages there.
+    Publish,
+    /// It receives the messages there.
+    Subscribe,
+}
+
 /// Number of the robot that every fleet has, as names of topics have it.
 const FIRST_ROBOT: &str = "1";
 /// Robots that a warning names; of larger fleets it names the first and the last.
 const NAMED_MAX: usize = 8;
 
 impl Core {
-    /// Warns a client that publishes on a topic of clients which would be the fleet's with another robot's number. The same is in
-    /// the operator's log, once in 30 s for each topic.
-    pub(super) fn warn_of_absent_robot(&mut self, id: ClientId, topic: TopicId, now: Monotonic) {
+    /// Warns a client that uses a topic of clients which would be the fleet's with another robot's number. The same is in the
+    /// operator's log, once in 30 s for each topic.
+    pub(super) fn warn_of_absent_robot(
+        &mut self,
+        id: ClientId,
+        topic: TopicId,
+        usage: TopicUse,
+        now: Monotonic,
+    ) {
         let Some(topic) = self.router.topics.get(topic).filter(|topic| topic.source == Source::Clients)
         else {
             return;
         };
-        let is_input = |name: &str| {
+        let is_of_fleet = |name: &str| {
             let known = self.router.topics.find(name).and_then(|id| self.router.topics.get(id));
-            known.is_some_and(|topic| matches!(topic.source, Source::Input(_)))
+            known.is_some_and(|topic| match usage {
+                TopicUse::Publish => matches!(topic.source, Source::Input(_)),
+                TopicUse::Subscribe => topic.source == Source::Fleet,
+            })
         };
         let robots = self.fleet.robot_names();
-        if !is_of_absent_robot(&topic.name, robots, is_input) {
+        if !is_of_absent_robot(&topic.name, robots, is_of_fleet) {
             return;
         }
         let name = topic.name.clone();
         let text = format!("'{name}' belongs to no robot of this fleet, which has {}", all_robots(robots));
-        self.router.send_notice(id, name::WARN, format!("__publish: {text}: no robot receives it"));
+        let (command, what, verb) = match usage {
+            TopicUse::Publish => ("__publish", "no robot receives it", "publishes on"),
+            TopicUse::Subscribe => ("__subscribe", "no robot publishes it", "subscribes to"),
+        };
+        self.router.send_notice(id, name::WARN, format!("{command}: {text}: {what}"));
         if self.admission.ros_refusals.add(RefusalKind::AbsentRobot, &name, now).is_some() {
             let peer = self.router.client(id).map(|client| client.peer.to_string()).unwrap_or_default();
-            self.report(format!("{peer} publishes on {text}"));
+            self.report(format!("{peer} {verb} {text}"));
         }
     }
 }
 
 /// Returns whether a topic that the fleet does not have is in the namespace of a robot that it does not have, `/robot9/`, or is
-/// an input of a robot with another number: `/cmd_vel_9`. `is_input`: whether a name is an input of the fleet.
-fn is_of_absent_robot(name: &str, robots: &RobotNames, is_input: impl Fn(&str) -> bool) -> bool {
+/// one of the fleet's with another number: `/cmd_vel_9`. `is_of_fleet`: whether the fleet has a topic of this name.
+fn is_of_absent_robot(name: &str, robots: &RobotNames, is_of_fleet: impl Fn(&str) -> bool) -> bool {
     let number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     if let Some((namespace, _)) = name.strip_prefix("/robot").and_then(|rest| rest.split_once('/'))
         && number(namespace)
@@ -48,7 +70,7 @@ fn is_of_absent_robot(name: &str, robots: &RobotNames, is_input: impl Fn(&str) -
         return !robots.robots().any(|robot| robots.topic(robot, "") == prefix);
     }
     let rest = name.trim_end_matches(|c: char| c.is_ascii_digit());
-    number(&name[rest.len()..]) && is_input(&format!("{rest}{FIRST_ROBOT}"))
+    number(&name[rest.len()..]) && is_of_fleet(&format!("{rest}{FIRST_ROBOT}"))
 }
 
 /// The robots of the fleet for people: `robot1, robot2`.

@@ -1,6 +1,7 @@
 //! System commands that register topics and services, and the list of topics.
 
 use super::Core;
+use super::absent_robots::TopicUse;
 use crate::access::{Action, PermissionError};
 use crate::command::{Call, Registration, TopicList, name};
 use crate::frame::RosTcpFrame;
@@ -263,6 +264,7 @@ impl Core {
             self.fleet.subscribed(&mut self.router, topic);
             self.stop_new_listener(topic);
             self.relay_subscription(id, topic, now);
+            self.warn_of_absent_robot(id, topic, TopicUse::Subscribe, now);
         }
         Ok(())
     }
@@ -302,7 +304,7 @@ impl Core {
         }
         let publication = Publication { topic, stamped, latch: registration.latch };
         self.router.add_publisher(id, publication, *queue_size);
-        self.warn_of_absent_robot(id, topic, now);
+        self.warn_of_absent_robot(id, topic, TopicUse::Publish, now);
         self.relay_publication(id, topic);
         Ok(())
     }

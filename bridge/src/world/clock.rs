@@ -36,7 +36,7 @@ const DELAYS_MAX: usize = 512;
 
 /// How a source's stamps become the run's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected \"measured\", or seconds without quotes")]
 pub enum ClockOffset {
     /// `"measured"`: estimated from when messages arrive.
     #[default]

@@ -121,7 +121,8 @@ impl FleetExploration {
 
     /// Area that the maps show, square metres. Where unmerged maps overlap it counts more than once.
     pub fn known_m2(&self) -> f64 {
-        self.maps.iter().map(|map| map.known_m2).sum()
+        // The sum of nothing would be -0.
+        self.maps.iter().fold(0.0, |known_m2, map| known_m2 + map.known_m2)
     }
 
     /// What is unknown beside known free space, and why no robot goes there.

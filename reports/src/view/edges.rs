@@ -18,32 +18,32 @@ pub struct EdgeView {
     pub state: &'static str,
     /// Why the two maps are not joined, by the newest alignment; `None`: they are, or none was tried.
     pub why_not: Option<&'static str>,
-    /// Pose of `b`'s map in `a`'s map: x m, y m, yaw rad.
-    pub a_from_b: [f64; 3],
+    /// Pose of `b`'s map in `a`'s map: x m, y m, yaw rad; `None`: no alignment has passed the test.
+    pub a_from_b: Option<[f64; 3]>,
     /// Number of occupied cells of both maps that match.
     pub inliers: u32,
-    /// Mean distance of matching walls, metres.
-    pub residual_m: f64,
+    /// Mean distance of matching walls, metres; `None` without an alignment, like the figures up to `margin`.
+    pub residual_m: Option<f64>,
     /// Area that both maps know, square metres.
-    pub overlap_m2: f64,
+    pub overlap_m2: Option<f64>,
     /// Shared area over the smaller map's known area, 0 to 1.
-    pub overlap_share: f64,
+    pub overlap_share: Option<f64>,
     /// Share of commonly known cells that agree, 0 to 1.
-    pub agreement: f64,
+    pub agreement: Option<f64>,
     /// F1 of occupied cells with a tolerance of one cell.
-    pub occupied_f1: f64,
+    pub occupied_f1: Option<f64>,
     /// Largest such F1 under 20 wrong transforms.
-    pub null_f1_max: f64,
+    pub null_f1_max: Option<f64>,
     /// Share of one map's walls that lie in the other's free space, 0 to 1.
-    pub conflict: f64,
+    pub conflict: Option<f64>,
     /// Evidence over that of the second best place.
-    pub margin: f64,
+    pub margin: Option<f64>,
     /// Number of closures between submaps in the fleet's pose graph.
     pub closures: u32,
     /// Number of closures found that contradict the others.
     pub closures_rejected: u32,
-    /// Mean residual of the closures in the fleet's pose graph, metres.
-    pub closure_residual_m: f64,
+    /// Mean residual of the closures in the fleet's pose graph, metres; `None` without closures.
+    pub closure_residual_m: Option<f64>,
     /// Number of submaps of both robots that were compared with the other robot's map.
     pub compared_submaps: u32,
     /// Number of these that the other map contradicts.
@@ -57,25 +57,29 @@ pub struct EdgeView {
 impl EdgeView {
     /// Converts the message of merging.
     pub fn new(edge: &MergeEdge) -> Self {
+        let was_found = edge.state() != EdgeState::None;
+        // An alignment matches cells; an edge that was restored without its evidence has none.
+        let has_evidence = was_found && edge.inliers > 0;
+        let known = |value: f64| has_evidence.then_some(value);
         Self {
             edge: edge.id,
             a: format!("robot{}", edge.a),
             b: format!("robot{}", edge.b),
             state: edge.state().name(),
             why_not: edge.refusal().map(AlignmentRefusal::text),
-            a_from_b: [edge.a_from_b.x_m, edge.a_from_b.y_m, edge.a_from_b.yaw_rad],
+            a_from_b: was_found.then_some([edge.a_from_b.x_m, edge.a_from_b.y_m, edge.a_from_b.yaw_rad]),
             inliers: edge.inliers,
-            residual_m: edge.residual_m,
-            overlap_m2: edge.overlap_m2,
-            overlap_share: edge.overlap_share,
-            agreement: edge.agreement,
-            occupied_f1: edge.occupied_f1,
-            null_f1_max: edge.null_f1_max,
-            conflict: edge.conflict,
-            margin: edge.margin,
+            residual_m: known(edge.residual_m),
+            overlap_m2: known(edge.overlap_m2),
+            overlap_share: known(edge.overlap_share),
+            agreement: known(edge.agreement),
+            occupied_f1: known(edge.occupied_f1),
+            null_f1_max: known(edge.null_f1_max),
+            conflict: known(edge.conflict),
+            margin: known(edge.margin),
             closures: edge.closures,
             closures_rejected: edge.closures_rejected,
-            closure_residual_m: edge.closure_residual_m,
+            closure_residual_m: (edge.closures > 0).then_some(edge.closure_residual_m),
             compared_submaps: edge.compared_submaps,
             contradicted_submaps: edge.contradicted_submaps,
             contradicted: edge.is_contradicted(),
@@ -85,27 +89,28 @@ impl EdgeView {
 
     /// Returns whether a relative pose was ever found, even if it was undone since.
     pub fn was_found(&self) -> bool {
-        self.state != EdgeState::None.name()
+        self.a_from_b.is_some()
     }
 }
 
 impl fmt::Display for EdgeView {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [x, y, yaw] = self.a_from_b;
+        let Self { a, b, state, inliers, closures, .. } = self;
+        let Some([x, y, yaw]) = self.a_from_b else { return write!(f, "{a} {b} {state}") };
         write!(
             f,
-            "{} {} {}: x {x:.2} m, y {y:.2} m, {:.1} degrees; {} matching cells, F1 {:.2} (chance {:.2}), {:.0} m2 shared, {} closures",
-            self.a,
-            self.b,
-            self.state,
+            "{a} {b} {state}: x {x:.2} m, y {y:.2} m, {:.1} degrees; {inliers} matching cells, F1 {} (chance {}), {} m2 shared, {closures} closures",
             yaw.to_degrees(),
-            self.inliers,
-            self.occupied_f1,
-            self.null_f1_max,
-            self.overlap_m2,
-            self.closures
+            figure(self.occupied_f1, 2),
+            figure(self.null_f1_max, 2),
+            figure(self.overlap_m2, 0),
         )
     }
+}
+
+/// Formats a figure, or `-` if it is not known.
+fn figure(value: Option<f64>, decimals: usize) -> String {
+    value.map_or_else(|| "-".into(), |value| format!("{value:.decimals$}"))
 }
 
 /// Formats all edges as JSON, as on the topic `/merge_edges`, with the robots whose given start the maps contradict.
@@ -136,19 +141,21 @@ pub fn edge_table(edges: &[EdgeView]) -> String {
         "contradicted"
     );
     for e in edges {
-        let [x, y, yaw] = e.a_from_b;
+        let [x, y, yaw] = [0, 1, 2].map(|axis| e.a_from_b.map(|pose| pose[axis]));
         let _ = writeln!(
             text,
-            "{:>4} {:<15} {:<9} {x:>9.3} {y:>9.3} {:>8.2} {:>8} {:>9.0} {:>11.0} {:>5.2} {:>7.2} {:>9} {:>8} {:>12}",
+            "{:>4} {:<15} {:<9} {:>9} {:>9} {:>8} {:>8} {:>9} {:>11} {:>5} {:>7} {:>9} {:>8} {:>12}",
             e.edge,
             format!("{} {}", e.a, e.b),
             e.state,
-            yaw.to_degrees(),
+            figure(x, 3),
+            figure(y, 3),
+            figure(yaw.map(f64::to_degrees), 2),
             e.inliers,
-            e.overlap_m2,
-            1e3 * e.residual_m,
-            e.occupied_f1,
-            e.null_f1_max,
+            figure(e.overlap_m2, 0),
+            figure(e.residual_m.map(|residual_m| 1e3 * residual_m), 0),
+            figure(e.occupied_f1, 2),
+            figure(e.null_f1_max, 2),
             e.closures,
             e.closures_rejected,
             format!("{} of {}", e.contradicted_submaps, e.compared_submaps)

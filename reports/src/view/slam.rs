@@ -19,8 +19,8 @@ pub struct SlamView<'a> {
     pub paused: bool,
     /// Whether the robot's pose in the map is known.
     pub located: bool,
-    /// Pose of `base_footprint` in `robotK/map`: x m, y m, yaw rad.
-    pub map_from_base: [f64; 3],
+    /// Pose of `base_footprint` in `robotK/map`: x m, y m, yaw rad; `None`: not known.
+    pub map_from_base: Option<[f64; 3]>,
     /// Number of nodes in the pose graph.
     pub nodes: u32,
     /// Number of scan-to-scan edges.
@@ -72,7 +72,7 @@ impl<'a> SlamView<'a> {
             mode: SlamMode::from_code(response.mode).map_or("unknown", SlamMode::name),
             paused: response.paused == 1,
             located: response.located == 1,
-            map_from_base: numbers(response.map_from_base),
+            map_from_base: (response.located == 1).then(|| numbers(response.map_from_base)),
             nodes: response.nodes,
             links: response.links,
             closures: response.closures,
@@ -84,10 +84,9 @@ impl<'a> SlamView<'a> {
     /// Formats mode, graph, closures and the robot's pose for a terminal.
     pub fn table(&self) -> String {
         let Self { mode, nodes, links, closures, retracted, .. } = self;
-        let [x, y, yaw] = self.map_from_base;
-        let pose = match self.located {
-            true => format!("{x:.2} {y:.2} m, {yaw:.2} rad"),
-            false => "not located yet".into(),
+        let pose = match self.map_from_base {
+            Some([x, y, yaw]) => format!("{x:.2} {y:.2} m, {yaw:.2} rad"),
+            None => "not located yet".into(),
         };
         let paused = if self.paused { ", paused" } else { "" };
         format!(
@@ -98,11 +97,10 @@ impl<'a> SlamView<'a> {
 
     /// Formats the robot's pose as a sentence.
     pub fn pose_sentence(&self) -> String {
-        let [x, y, yaw] = self.map_from_base;
         let robot = &self.robot;
-        match self.located {
-            true => format!("{robot} is at {x:.2} {y:.2} m, {yaw:.2} rad in its map\n"),
-            false => format!(
+        match self.map_from_base {
+            Some([x, y, yaw]) => format!("{robot} is at {x:.2} {y:.2} m, {yaw:.2} rad in its map\n"),
+            None => format!(
                 "{robot} is not located yet; drive it two or three metres so that its scans can be matched\n"
             ),
         }

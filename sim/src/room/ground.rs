@@ -32,6 +32,8 @@ pub(crate) struct Ground {
     pub(crate) open: Vec<u32>,
     /// Number of cells in each region of `open`.
     pub(crate) open_sizes: Vec<usize>,
+    /// Number, from 1, of the region in which a robot can drive that each cell belongs to; 0 elsewhere.
+    regions: Vec<u32>,
     /// Cells of the largest region that a robot can drive in.
     pub(crate) drivable: Vec<bool>,
 }
@@ -53,10 +55,26 @@ impl Ground {
             floor.iter().zip(&obstacles).map(|(floor, obstacle)| *floor && !obstacle).collect();
         let (open, open_sizes) = raster.regions(&free);
         let fits: Vec<bool> = free.iter().zip(&clearance_m).map(|(free, c)| *free && *c >= FIT_M).collect();
-        let (labels, sizes) = raster.regions(&fits);
+        let (regions, sizes) = raster.regions(&fits);
         let largest = largest(&sizes);
-        let drivable = labels.iter().map(|label| *label != 0 && *label == largest).collect();
-        Self { raster, floor, clearance_m, open, open_sizes, drivable }
+        let drivable = regions.iter().map(|region| *region != 0 && *region == largest).collect();
+        Self { raster, floor, clearance_m, open, open_sizes, regions, drivable }
+    }
+
+    /// Returns the cells of the largest region that a robot can drive in, and of those in which these places lie.
+    pub(crate) fn drivable_from(&self, places_m: &[[f64; 2]]) -> Vec<bool> {
+        let is_there = |region: u32| region != 0 && places_m.iter().any(|at| self.region_at(*at) == region);
+        let (count, mut chosen) = (self.regions.iter().copied().max().unwrap_or(0), Vec::new());
+        chosen.extend((0..=count).map(is_there));
+        let cells = self.regions.iter().zip(&self.drivable);
+        cells.map(|(region, in_largest)| *in_largest || chosen[*region as usize]).collect()
+    }
+
+    /// Returns the region in which a robot at a place can drive; 0 if there is none. Beside a wall it is that of a neighbouring cell.
+    fn region_at(&self, at: [f64; 2]) -> u32 {
+        let Some(cell) = self.raster.index(at) else { return 0 };
+        let near = self.raster.neighbours(cell).map(|(near, _)| self.regions[near]);
+        core::iter::once(self.regions[cell]).chain(near).find(|region| *region != 0).unwrap_or(0)
     }
 
     /// Returns the area of a region of `open`, square metres.

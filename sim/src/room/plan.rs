@@ -42,12 +42,18 @@ const VIEW_RAYS: usize = 72;
 const VIEW_WIDTH: usize = VIEW_RAYS / 4;
 
 impl Room {
-    /// Computes the map that a perfect LiDAR would make, in frame `world`.
+    /// Computes the map that a perfect LiDAR would make on the largest floor, in frame `world`: see [`Self::floor_plan_from`].
+    pub fn floor_plan(&self, resolution_m: f64) -> Grid {
+        self.floor_plan_from(resolution_m, &[])
+    }
+
+    /// Computes the map that perfect LiDARs would make on the largest floor and on those where robots start (frame `world`, metres),
+    /// in frame `world`.
     ///
     /// Cells with a visible surface at the LiDAR's height are occupied. Floor that rays cross from drivable
     /// places is free. All other cells are unknown. `resolution_m` is clamped to 0.01 to 1 m, and made
     /// coarser until the plan has at most [`CELLS_MAX`] cells.
-    pub fn floor_plan(&self, resolution_m: f64) -> Grid {
+    pub fn floor_plan_from(&self, resolution_m: f64, starts_m: &[[f64; 2]]) -> Grid {
         let raster = self.plan_raster(resolution_m);
         let mut walls = vec![false; raster.len()];
         for (from, to) in self.lidar_slice() {
@@ -55,7 +61,7 @@ impl Room {
         }
         // Cells next to a seen one lie between two rays and count as seen. Walls have no gaps over edges, so
         // cells behind them do not.
-        let seen = self.seen_floor(&raster);
+        let seen = self.seen_floor(&raster, &self.ground.drivable_from(starts_m));
         let is_seen = |cell: usize| seen[cell] && !walls[cell];
         let has_seen_neighbour =
             |cell: usize| raster.neighbours(cell).any(|(near, over_edge)| over_edge && is_seen(near));
@@ -77,10 +83,10 @@ impl Room {
         Grid { header, cells }
     }
 
-    /// Finds the cells of the floor that the LiDAR's rays cross from many drivable places.
-    fn seen_floor(&self, raster: &Raster) -> Vec<bool> {
+    /// Finds the cells of the floor that the LiDAR's rays cross from many of the drivable places.
+    fn seen_floor(&self, raster: &Raster, drivable: &[bool]) -> Vec<bool> {
         let ground = &self.ground;
-        let places = ground.drivable.iter().filter(|drivable| **drivable).count();
+        let places = drivable.iter().filter(|drivable| **drivable).count();
         // Viewpoints lie on every `stride`-th row and column.
         let mut stride = VIEWPOINT_STRIDE;
         while places / (stride * stride) > VIEWPOINTS_MAX {
@@ -95,7 +101,7 @@ impl Room {
             [cos, sin]
         });
         let mut crossed = vec![false; raster.len()];
-        for place in (0..ground.raster.len()).filter(|cell| ground.drivable[*cell]).filter(on_lattice) {
+        for place in (0..ground.raster.len()).filter(|cell| drivable[*cell]).filter(on_lattice) {
             let from = ground.raster.centre_m(place);
             for [cos, sin] in directions {
                 // The ray ends before the wall, which may lie on the edge of the next cell.

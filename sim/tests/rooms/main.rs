@@ -64,6 +64,31 @@ fn a_floor_plan_shows_the_visible_cells() {
 }
 
 #[test]
+fn a_floor_plan_shows_the_floors_on_which_robots_start() {
+    // Two rooms without a door: 4 m x 3 m, and 3 m x 3 m behind a wall at x = 4 m.
+    let mut text = String::from("# up z\nv 0 0 0\nv 7 0 0\nv 7 3 0\nv 0 3 0\nf 1 2 3 4\n");
+    let walls = [[0, 0, 7, 0], [7, 0, 7, 3], [7, 3, 0, 3], [0, 3, 0, 0], [4, 0, 4, 3]];
+    for (wall, [x, y, u, v]) in walls.into_iter().enumerate() {
+        let first = 5 + 4 * wall;
+        text += &format!("v {x} {y} 0\nv {u} {v} 0\nv {u} {v} 1\nv {x} {y} 1\n");
+        text += &format!("f {first} {} {} {}\n", first + 1, first + 2, first + 3);
+    }
+    let room = Room::from_bytes("rooms.obj", text.as_bytes()).unwrap();
+    let free_m2 = |starts_m: &[[f64; 2]]| areas_m2(&room.floor_plan_from(0.05, starts_m)).0;
+    let is_near = |area_m2: f64, expected: f64| (expected - 1.0..=expected).contains(&area_m2);
+    for (starts_m, expected) in [
+        (&[][..], 12.0),
+        (&[[1.0, 1.0]], 12.0),
+        (&[[5.5, 1.5]], 21.0),
+        (&[[1.0, 1.0], [6.85, 0.15]], 21.0),
+        (&[[f64::NAN, 1.0], [1e9, -1e9], [4.0, 1.5]], 12.0),
+    ] {
+        let area_m2 = free_m2(starts_m);
+        assert!(is_near(area_m2, expected), "{starts_m:?}: {area_m2} m²");
+    }
+}
+
+#[test]
 fn a_floor_plan_is_bounded_in_size() {
     let room = Room::from_bytes("a.glb", &made::glb()).unwrap();
     for resolution_m in [f64::NAN, -1.0, 0.0, 1e-9, 1e9, f64::INFINITY] {

@@ -25,8 +25,9 @@ pub fn compare(view: &mut FleetView, map: GridView<'_>, config: &FleetConfig) ->
         Some(first) if !config.fleet.starts_known => *first,
         _ => Pose2::IDENTITY,
     };
-    let places = starts.iter().map(|start| [start.x_m, start.y_m]);
-    let errors = ObservableArea::new(room.floor_plan(PLAN_RESOLUTION_M), places).compare(map, world_from_map);
+    let places: Vec<_> = starts.iter().map(|start| [start.x_m, start.y_m]).collect();
+    let plan = room.floor_plan_from(PLAN_RESOLUTION_M, &places);
+    let errors = ObservableArea::new(plan, places).compare(map, world_from_map);
     let known = |value: f64| value.is_finite().then_some(value);
     view.room_coverage = known(errors.room_coverage);
     view.against_room = known(errors.occupied_f1).map(|occupied_f1| AgainstRoomView {

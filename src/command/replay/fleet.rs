@@ -6,7 +6,7 @@ use super::feeder::Feeder;
 use super::records::{Log, LogScan, Records};
 use super::{ReplayArgs, ReplayError, Summary, trajectory::write_trajectory};
 use crate::command::output;
-use formats::map_file::write_map_with_reasons;
+use formats::map_file::{self, write_map_with_reasons};
 use merge::{FleetPoseGraph, MergeConfig, Merger};
 use msg::{Grid, MergeEdges, Pose2, RobotId, Stamp, SubmapPoses};
 use reports::{EdgeView, edge_table};
@@ -132,7 +132,7 @@ pub fn run(
     if let Some(path) = &args.map {
         let reasons = merged.unreliable_reasons(&robots);
         let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
-        write_map_with_reasons(&path.with_extension(""), map.view(), &reasons)?;
+        write_map_with_reasons(&map_file::stem(path), map.view(), &reasons)?;
     }
     if let Some(folder) = &args.trajectory {
         write_trajectories(folder, &robots, &merged.fleet)?;
@@ -158,10 +158,9 @@ impl<'a> Robot<'a> {
         let on_robot = first.line.base_from_scan;
         config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
         let (front, back) = Slam::new(config.clone()).split();
-        let left_out = log.left_out().into();
-        let summary = Summary { log: path.display().to_string(), left_out, ..Summary::default() };
-        let (submaps, feeder) = (Submaps::new(&config), Feeder::new(args, log));
-        let truth = log.truth();
+        let mut summary = Summary { log: path.display().to_string(), ..Summary::default() };
+        summary.count_log(log);
+        let (submaps, feeder, truth) = (Submaps::new(&config), Feeder::new(args, log), log.truth());
         Ok(Self { id, records, truth, next: Some(first), front, back, submaps, feeder, summary })
     }
 
@@ -278,6 +277,7 @@ impl Merged {
         let robots = robots.into_iter().map(|mut robot| {
             robot.summary.count(&robot.front, &robot.back);
             let trajectory: Vec<_> = robot.back.trajectory_with_places(robot.front.samples()).collect();
+            robot.summary.set_end(trajectory.last());
             robot.summary.error = TrajectoryError::of_placed(&trajectory, robot.truth);
             (robot.summary.malformed_lines, robot.summary.skipped_lines) =
                 (robot.records.malformed, robot.records.skipped());
@@ -351,7 +351,8 @@ fn read_starts(path: &Path, count: usize) -> Result<Vec<Option<Pose2>>, ReplayEr
         let wrong = || ReplayError::Starts { path: path.to_owned(), line: line + 1, found: text.into() };
         let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
         let Some([index, _, x_m, y_m, yaw_rad]) = numbers.as_deref() else { return Err(wrong()) };
-        let slot = starts.get_mut(*index as usize).ok_or_else(wrong)?;
+        let robot = (0..starts.len()).find(|robot| *robot as f64 == *index).ok_or_else(wrong)?;
+        let slot = &mut starts[robot];
         *slot = Some(Pose2::new(*x_m, *y_m, *yaw_rad)).filter(|pose| pose.is_finite());
         if slot.is_none() {
             return Err(wrong());

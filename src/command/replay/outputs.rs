@@ -17,7 +17,7 @@ pub fn check(args: &ReplayArgs) -> Result<(), ReplayError> {
     let check =
         |path: &Path| check_file(path).map_err(|source| ReplayError::Write { path: path.to_owned(), source });
     if let Some(path) = &args.map {
-        map_file::written_files(&path.with_extension("")).iter().try_for_each(|file| check(file))?;
+        map_file::written_files(&map_file::stem(path)).iter().try_for_each(|file| check(file))?;
     }
     match &args.trajectory {
         // The folder is made with its parents.
@@ -48,7 +48,7 @@ fn check_inputs_stay(args: &ReplayArgs) -> Result<(), ReplayError> {
     }
     let mut outputs: Vec<PathBuf> = args.save_session.iter().cloned().collect();
     if let Some(map) = &args.map {
-        outputs.extend(map_file::written_files(&map.with_extension("")));
+        outputs.extend(map_file::written_files(&map_file::stem(map)));
     }
     match &args.trajectory {
         Some(folder) if args.merge.is_some() => {

@@ -7,6 +7,7 @@ use crate::lockstep::Lockstep;
 use crate::process::record::description::{CONFIGURATION, EPOCH};
 use crate::process::record::{PLANAR_ODOMETRY, map_hash};
 use crate::stop::Stop;
+use formats::map_file;
 use msg::Scan;
 use recording::fleet::FleetRecording;
 use recording::{METADATA, RecordingReader};
@@ -40,14 +41,20 @@ fn bag_error(path: &Path, why: recording::ReadError) -> ReplayError {
 /// Replays the files of one recording, writes the requested maps and prints figures and the hash of the maps.
 pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
     let begun = Instant::now();
-    let recording = read(&args.logs, config)?;
+    let (recording, damage) = read(&args.logs, config)?;
     let config = &with_known_starts(config, &recording);
-    let (ends, malformed) = (recording.ends, recording.malformed + recording.left_out);
+    let ends_s = recording.ends.seconds();
+    let figures = Figures {
+        seconds: ends_s,
+        malformed: recording.malformed + recording.left_out,
+        damage,
+        times_real_time: None,
+    };
     if args.serving.serve {
         let stop = Stop::on_signals().map_err(|why| ReplayError::Replay(why.to_string()))?;
         let mut player = serve::run(args, config, recording, &stop)?;
         let seconds = player.playback().position_s();
-        return finish(args, player.fleet(), seconds, malformed, None);
+        return finish(args, player.fleet(), &Figures { seconds, ..figures });
     }
     let ticks = player::ticks(&recording);
     let failed = |why: Box<dyn std::error::Error>| ReplayError::Replay(why.to_string());
@@ -55,30 +62,37 @@ pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
     for _ in 0..ticks {
         fleet.tick(&mut |_, _| {});
     }
-    let times_real_time = ends.seconds() / begun.elapsed().as_secs_f64().max(1e-9);
-    finish(args, &mut fleet, ends.seconds(), malformed, Some(times_real_time))
+    let times_real_time = Some(ends_s / begun.elapsed().as_secs_f64().max(1e-9));
+    finish(args, &mut fleet, &Figures { times_real_time, ..figures })
 }
 
-/// Writes the requested maps and prints figures and hash. A replay for people has no `times_real_time`.
-fn finish(
-    args: &ReplayArgs,
-    fleet: &mut Lockstep,
+/// Figures of a replay beside those of the fleet.
+struct Figures {
+    /// Time that was replayed, seconds.
     seconds: f64,
+    /// Number of messages that could not be used.
     malformed: u64,
+    /// Why files are used in part: they were cut off or damaged.
+    damage: Vec<String>,
+    /// Speed of the replay; `None`: it was one for people.
     times_real_time: Option<f64>,
-) -> Result<(), ReplayError> {
+}
+
+/// Writes the requested maps and prints figures and hash.
+fn finish(args: &ReplayArgs, fleet: &mut Lockstep, figures: &Figures) -> Result<(), ReplayError> {
+    let Figures { seconds, malformed, damage, times_real_time } = figures;
     let hash = map_hash(fleet.maps());
     if let Some(path) = &args.map {
         // The merged map under this name, and each robot's beside it.
-        let stem = path.with_extension("");
+        let stem = map_file::stem(path);
         let of_robot = |name: &str| {
             stem.with_file_name(format!("{}_{name}", stem.file_name().unwrap_or_default().display()))
         };
         fleet.write_maps(|name| if name == "merged_map" { stem.clone() } else { of_robot(name) })?;
     }
-    let view = FleetView::new(fleet.stats());
+    let view = FleetView::new(fleet.stats()).with_edges(fleet.merge_edges());
     let summary = serde_json::json!({
-        "maps_sha256": hash, "seconds": seconds, "malformed_messages": malformed,
+        "maps_sha256": hash, "seconds": seconds, "malformed_messages": malformed, "damage": damage,
         "times_real_time": times_real_time, "fleet": view,
     });
     let text = || {
@@ -111,7 +125,9 @@ fn run_of(reader: &RecordingReader<BufReader<File>>) -> [Option<String>; 2] {
     [EPOCH, CONFIGURATION].map(|key| metadata.and_then(|metadata| metadata.get(key)).cloned())
 }
 
-fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<FleetRecording, ReplayError> {
+/// Reads the files of one recording; returns it, and why files are used in part.
+fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Vec<String>), ReplayError> {
+    let mut damages = Vec::new();
     let mut first: Option<[Option<String>; 2]> = None;
     let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
     let mut recording = FleetRecording::new(&config.robot_names(), PLANAR_ODOMETRY, scan);
@@ -129,7 +145,9 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<FleetRecording, Repla
             )));
         }
         if let Some(why) = reader.broken() {
-            output::note(&format!("{}: {why}; used up to there", path.display()));
+            let damage = format!("{}: {why}; used up to there", path.display());
+            output::note(&damage);
+            damages.push(damage);
         }
     }
     recording.sort();
@@ -140,5 +158,5 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<FleetRecording, Repla
     if !recording.has_scans() {
         return Err(ReplayError::Replay("the recording has no scans of the fleet's robots".into()));
     }
-    Ok(recording)
+    Ok((recording, damages))
 }

@@ -159,6 +159,14 @@ impl Log {
         }
     }
 
+    /// Returns why a recording is used in part, if it was cut off or damaged.
+    pub fn damage(&self) -> Option<&str> {
+        match self {
+            Self::Carmen(_) => None,
+            Self::Recording(scans) => scans.bag.broken.as_deref(),
+        }
+    }
+
     /// Returns stamps and true poses of the scans, in order of time; empty if they are not known.
     pub fn truth(&self) -> &[(Stamp, Pose2)] {
         match self {

@@ -1,9 +1,12 @@
 //! Summary of a replay, for people and for programs.
 
+use super::records::Log;
+use msg::{Pose2, Stamp};
 use recording::bag::LeftOut;
 use serde::Serialize;
 use slam::{
-    BackEnd, ClosureSearchCounts, FrontEnd, ReliabilityEvidence, RelocalizationCounts, TrajectoryError,
+    BackEnd, ClosureSearchCounts, FrontEnd, PlaceInMap, ReliabilityEvidence, RelocalizationCounts,
+    TrajectoryError,
 };
 use std::time::Duration;
 
@@ -29,8 +32,10 @@ pub struct Summary {
     pub relocalization: RelocalizationCounts,
     /// Error of the trajectory; `None`: the log does not have the true poses.
     pub error: Option<TrajectoryError>,
-    /// Last pose in the map: x m, y m, yaw rad.
-    pub ends_at: [f64; 3],
+    /// Pose in the map at the last scan: x m, y m, yaw rad; `None`: it is not known.
+    pub ends_at: Option<[f64; 3]>,
+    /// Why a recording is used in part: it was cut off or damaged. `None`: it is whole.
+    pub damage: Option<String>,
     /// Number of malformed lines.
     pub malformed_lines: u64,
     /// Number of lines of other kinds.
@@ -97,6 +102,9 @@ impl Summary {
                 s.relocalization.contradicted
             );
         }
+        if let Some(why) = &s.damage {
+            text += &format!("  damaged   {why}; used up to there\n");
+        }
         let rejected = s.rejected_stamp_repeated + s.rejected_stamp_went_back + s.rejected_other;
         if rejected > 0 {
             text += &format!(
@@ -131,6 +139,18 @@ impl Summary {
             }
         }
         text
+    }
+
+    /// Copies the pose at the last scan, with its place in the map.
+    pub(super) fn set_end(&mut self, last: Option<&(Stamp, Pose2, PlaceInMap)>) {
+        let known = last.filter(|(_, _, place)| *place == PlaceInMap::Known);
+        self.ends_at = known.map(|(_, pose, _)| [pose.x_m, pose.y_m, pose.yaw_rad]);
+    }
+
+    /// Copies what a log says about itself, once all is read.
+    pub(super) fn count_log(&mut self, log: &Log) {
+        self.left_out = log.left_out().into();
+        self.damage = log.damage().map(str::to_owned);
     }
 
     /// Copies the counters of front end and back end.

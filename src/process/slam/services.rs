@@ -9,6 +9,7 @@ use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
 use crate::sessions::TOLD_SIGMA;
 use ::slam::{ClosureReport, FrontEndState, InitialPose, LocalFrameEstimate};
+use formats::map_file;
 use msg::{
     CLOSURES_MAX, ClosureInfo, InitialPoseKind, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest,
     SlamRequestKind, SlamResponse, Text,
@@ -141,11 +142,7 @@ impl<P: Ports> Services<P> {
 
     fn save_map(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
         has_map(state)?;
-        let stem = file_path(&self.dir, request.text.as_str(), None)?;
-        let stem = match stem.extension().and_then(|ending| ending.to_str()) {
-            Some("yaml" | "yml" | "pgm" | "png") => stem.with_extension(""),
-            _ => stem,
-        };
+        let stem = map_file::stem(&file_path(&self.dir, request.text.as_str(), None)?);
         let grid = state.back.map().to_owned();
         let reasons = state.back.reliability_evidence().reasons().collect();
         submit_file_job(state, request, stem, FileOperation::Draw { grid, reasons })
