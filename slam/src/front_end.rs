@@ -9,6 +9,7 @@ mod kidnap_check;
 mod local_frame;
 mod motion;
 mod node_builder;
+mod odom_in_map;
 mod pose_estimate;
 mod scan_check;
 mod scan_matcher;
@@ -31,6 +32,7 @@ use motion::MotionModel;
 use msg::{Odometry, Pose2, PoseEstimate, Scan, Stamp, TrackingState};
 use nalgebra::Matrix3;
 use node_builder::NodeBuilder;
+use odom_in_map::OdomInMap;
 use scan_matcher::{ScanMatcher, TrackedPose};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -117,14 +119,6 @@ pub struct LastScan {
     pub covariance: Matrix3<f64>,
 }
 
-/// A pose of the robot in the map and by odometry, at one stamp.
-#[derive(Clone, Copy, Debug)]
-struct PoseWithOdometry {
-    map_from_base: Pose2,
-    /// Inverse of the pose in the continuous frame of odometry.
-    base_from_continuous: Pose2,
-}
-
 /// The front end of one robot's SLAM; see the module, and [`BackEnd`](crate::BackEnd) for an example of both.
 pub struct FrontEnd {
     config: SlamConfig,
@@ -135,8 +129,8 @@ pub struct FrontEnd {
     matcher: ScanMatcher,
     node_builder: NodeBuilder,
     frame: LocalFrameInMap,
-    /// The last pose in the map at whose stamp there was odometry.
-    newest_with_odometry: Option<PoseWithOdometry>,
+    /// Pose of odometry's frame in the map.
+    odom_in_map: OdomInMap,
     samples: Vec<TrajectorySample>,
     counts: FrontEndCounts,
     stages: Box<dyn StageObserver>,
@@ -152,7 +146,7 @@ impl FrontEnd {
             matcher: ScanMatcher::new(&config.tracking),
             node_builder: NodeBuilder::new(),
             frame: LocalFrameInMap::new(),
-            newest_with_odometry: None,
+            odom_in_map: OdomInMap::default(),
             // The operating system provides the memory as it is used.
             samples: Vec::with_capacity(config.graph.trajectory_max),
             counts: FrontEndCounts::default(),
@@ -202,10 +196,11 @@ impl FrontEnd {
         }
     }
 
-    /// Adds one odometry message.
-    pub fn add_odometry(&mut self, odometry: &Odometry) {
-        self.motion.odometry.push(odometry);
+    /// Adds one odometry message. Returns false if it is rejected: it is not finite, or not newer than the last.
+    pub fn add_odometry(&mut self, odometry: &Odometry) -> bool {
+        let is_added = self.motion.odometry.push(odometry);
         self.counts.rejected_odometry = self.motion.odometry.rejected();
+        is_added
     }
 
     /// Returns, once, whether the robot has moved in an unknown way: after a session was restored, odometry came from
@@ -214,7 +209,7 @@ impl FrontEnd {
         let is_unknown = self.motion.odometry.take_unknown_motion();
         if is_unknown {
             self.motion.forget();
-            self.newest_with_odometry = None;
+            self.odom_in_map = OdomInMap::default();
             self.frame.set(None);
             self.request_node();
         }

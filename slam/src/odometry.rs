@@ -63,8 +63,8 @@ impl OdometryBuffer {
     }
 
     /// Adds a message. Rejects and counts one that is not finite or not newer than the last, unless the clock was set
-    /// back.
-    pub fn push(&mut self, odometry: &Odometry) {
+    /// back. Returns whether it was added.
+    pub fn push(&mut self, odometry: &Odometry) -> bool {
         let (last, stamp) = (self.poses.back().copied(), odometry.header.stamp);
         let back = last.is_some_and(|last| stamp < last.header.stamp);
         let repeated = last.is_some_and(|last| stamp == last.header.stamp);
@@ -73,7 +73,7 @@ impl OdometryBuffer {
             || (back && self.clock_reset.observe(stamp).is_none())
         {
             self.rejected += 1;
-            return;
+            return false;
         }
         self.clock_reset = ClockResetDetector::default();
         if back {
@@ -94,6 +94,7 @@ impl OdometryBuffer {
         self.is_restored = false;
         let continuous_from_base = self.continuous_from_odom * odometry.odom_from_base;
         self.poses.push_back(BufferedOdometry::new(odometry, continuous_from_base));
+        true
     }
 
     /// Pose of the writer's odometry frame in the continuous frame, which does not jump when the writer restarts.
@@ -146,6 +147,30 @@ impl OdometryBuffer {
         longest_s.max(to - last)
     }
 
+    /// The motion from one stamp to another as far as messages between them measured it, though odometry was missing at one of the
+    /// stamps. `None`: no message came between.
+    pub fn motion_between(&self, from: Stamp, to: Stamp) -> Option<MeasuredMotion> {
+        let after = |stamp: Stamp| self.poses.partition_point(|o| o.header.stamp <= stamp);
+        let (first, end) = (after(from), after(to));
+        if !self.config.used || first >= end {
+            return None;
+        }
+        let (next, newest) = (self.poses.get(first)?, self.poses.get(end - 1)?);
+        let limit_s = self.config.extrapolation_max_s;
+        let behind_s = to - newest.header.stamp;
+        let at_end = extrapolate(newest, behind_s.min(limit_s), limit_s)?;
+        // Messages that have come since the scan tell where it was taken.
+        let before = first.checked_sub(1).and_then(|index| self.poses.get(index));
+        let (at_begin, ahead_s) = match before {
+            Some(before) => {
+                let nearest_s = (from - before.header.stamp).min(next.header.stamp - from);
+                (interpolate(before, next, from), nearest_s)
+            }
+            None => (next.continuous_from_base, next.header.stamp - from),
+        };
+        Some(MeasuredMotion { moved: at_begin.between(at_end), unmeasured_s: ahead_s + behind_s })
+    }
+
     /// The robot's pose in the continuous frame of [`OdometryBuffer::continuous_from_odom`] at a stamp: interpolated, or
     /// extrapolated at the last speed for up to `odometry.extrapolation_max_s`. `None` outside.
     pub fn at(&self, stamp: Stamp) -> Option<Pose2> {
@@ -160,6 +185,15 @@ impl OdometryBuffer {
             (None, _) => None,
         }
     }
+}
+
+/// Motion between two stamps as far as odometry measured it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredMotion {
+    /// Motion between the stamps: interpolated, and after the newest message at its speed for up to `odometry.extrapolation_max_s`.
+    pub moved: Pose2,
+    /// Time at the two ends for which no message tells the motion, seconds.
+    pub unmeasured_s: f64,
 }
 
 /// Pose between two messages, linear in position and heading.
@@ -215,5 +249,24 @@ mod tests {
     fn messages_that_a_full_buffer_has_dropped_are_no_silence() {
         let stamps_s: Vec<f64> = (0..20).map(f64::from).collect();
         assert_eq!(buffer_of(&stamps_s, 4).longest_silence_s(at(0.0), at(19.0)), 1.0);
+    }
+
+    #[test]
+    fn a_motion_is_known_as_far_as_messages_between_two_scans_tell_it() {
+        let mut buffer = OdometryBuffer::new(OdometryConfig::default());
+        for (stamp_s, x_m) in [(1.0, 1.0), (1.1, 1.1), (2.0, 2.0), (2.1, 2.1)] {
+            let header = Header { stamp: at(stamp_s), ..Header::default() };
+            let odom_from_base = Pose2::new(x_m, 0.0, 0.0);
+            buffer.push(&Odometry { header, odom_from_base, linear_m_s: 1.0, ..Odometry::default() });
+        }
+        let motion = |from_s: f64, to_s: f64| {
+            let measured = buffer.motion_between(at(from_s), at(to_s))?;
+            Some([measured.moved.x_m, measured.unmeasured_s].map(|value| (1e3 * value).round() / 1e3))
+        };
+        assert_eq!(motion(1.0, 2.1), Some([1.1, 0.0]));
+        assert_eq!(motion(1.0, 2.3), Some([1.3, 0.2]), "at the last speed");
+        assert_eq!(motion(1.3, 2.1), Some([0.8, 0.2]), "interpolated afterwards");
+        assert_eq!(motion(0.5, 2.1), Some([1.1, 0.5]), "the beginning was never measured");
+        assert_eq!((motion(1.2, 1.9), motion(2.1, 3.0)), (None, None));
     }
 }

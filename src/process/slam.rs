@@ -31,7 +31,7 @@ use ::slam::{
 };
 use back_end::BackEndWorker;
 use files::{FileJobOutcome, SlamFileJob, SlamFileWorker};
-use front_end_loop::FrontEndLoop;
+use front_end_loop::{BeginningFrontEnd, FrontEndLoop};
 use msg::{Header, Pose2, RobotId, Role, SlamMode};
 use session_log::LogEnd;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
@@ -126,14 +126,13 @@ impl<P: Ports, S: Storage> SlamProcess<P, S> {
         map_from_odom: Option<Pose2>,
         storage: S,
     ) -> Result<Self, Error> {
-        let InitialSlam { front, back, restart_map_from_odom } =
+        let InitialSlam { beginning, back } =
             restore_or_create(run, robot, map_from_odom, &storage, &scan_ports.clock())?;
         let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
         let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
         let (job_sender, jobs) = sync_channel::<SlamFileJob>(files::JOBS_MAX);
         let outcomes = events.clone();
-        let front_end_loop =
-            FrontEndLoop::open(scan_ports, run, robot, (front, restart_map_from_odom), events, commands_in)?;
+        let front_end_loop = FrontEndLoop::open(scan_ports, run, robot, beginning, events, commands_in)?;
         let back_end = BackEndWorker::open(map_ports, run, robot, back, commands, job_sender)?;
         let files = SlamFileWorker::new(live_config(run), storage, scan_ports.clock(), outcomes);
         Ok(Self { front_end_loop, back_end, files, inputs, jobs })
@@ -148,9 +147,8 @@ pub fn run(run: &Run, robot: RobotId, map_from_odom: Option<Pose2>, stop: &Stop)
     let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
     let (job_sender, jobs) = sync_channel::<SlamFileJob>(files::JOBS_MAX);
     let mut files = SlamFileWorker::new(live_config(run), DiskStorage, scan_ports.clock(), events.clone());
-    let InitialSlam { front, back, restart_map_from_odom } = initial;
-    let mut front_end_loop =
-        FrontEndLoop::open(&scan_ports, run, robot, (front, restart_map_from_odom), events, commands_in)?;
+    let InitialSlam { beginning, back } = initial;
+    let mut front_end_loop = FrontEndLoop::open(&scan_ports, run, robot, beginning, events, commands_in)?;
     std::thread::scope(|scope| {
         scope.spawn(move || {
             time_slice::request_default();
@@ -197,11 +195,9 @@ fn serve_back_end(
 
 /// Front end and back end with which SLAM starts.
 struct InitialSlam {
-    front: FrontEnd,
+    beginning: BeginningFrontEnd,
     /// The back end, and the end of the log with its nodes.
     back: (BackEnd, LogEnd),
-    /// Pose of `odom` in the map before the restart, if a new front end begins.
-    restart_map_from_odom: Option<Pose2>,
 }
 
 /// Loads what an earlier process of this run saved and logged, else the fleet's initial session, else an empty map.
@@ -235,7 +231,9 @@ fn restore_or_create(
         back.set_map_header(Header::default(), clock.now());
         // Whether the robot had been found in a session's map is not known.
         let restart_map_from_odom = map_from_odom.filter(|_| back.nodes().is_empty());
-        return Ok(InitialSlam { front, back: (back, log_end), restart_map_from_odom });
+        let beginning =
+            BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom: map_from_odom };
+        return Ok(InitialSlam { beginning, back: (back, log_end) });
     }
     let kept = match (session, records.is_empty()) {
         (Some(session), true) => session,
@@ -254,7 +252,8 @@ fn restore_or_create(
         // The first scan says where the front end's frame lies in `odom`; then the pose is set.
         front.set_map_from_local(Some(Pose2::IDENTITY));
     }
-    Ok(InitialSlam { front, back: (back, log_end), restart_map_from_odom })
+    let beginning = BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom: map_from_odom };
+    Ok(InitialSlam { beginning, back: (back, log_end) })
 }
 
 /// Reads what an earlier process of this run saved.

@@ -6,7 +6,7 @@ use super::{FrontEnd, LastScan};
 use crate::beam_poses::{BeamPoses, scale_motion};
 use crate::config::OdometryConfig;
 use crate::node::Node;
-use crate::odometry::OdometryBuffer;
+use crate::odometry::{MeasuredMotion, OdometryBuffer};
 use msg::{Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 
@@ -45,6 +45,28 @@ pub(super) struct PosePrediction {
 }
 
 impl PosePrediction {
+    /// The pose after a motion that odometry measured, from a start pose with its covariance.
+    fn by_odometry(
+        (start, start_covariance): (Pose2, Matrix3<f64>),
+        MeasuredMotion { moved, unmeasured_s }: MeasuredMotion,
+        config: &OdometryConfig,
+    ) -> Self {
+        let (distance_m, turn_rad) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
+        Self {
+            pose: start * moved,
+            sigma_m: config.sigma_m
+                + config.sigma_m_per_m * distance_m
+                + SPEED_SIGMA_SHARE * config.speed_max_m_s * unmeasured_s,
+            sigma_rad: config.sigma_rad
+                + config.sigma_rad_per_rad * turn_rad
+                + config.sigma_rad_per_m * distance_m
+                + SPEED_SIGMA_SHARE * config.turn_max_rad_s * unmeasured_s,
+            start_covariance,
+            distance_m,
+            allows_dead_reckoning: false,
+        }
+    }
+
     /// Variances of x, y and yaw.
     pub fn variances(&self) -> Vector3<f64> {
         Vector3::new(self.sigma_m.powi(2), self.sigma_m.powi(2), self.sigma_rad.powi(2))
@@ -178,18 +200,13 @@ impl MotionModel {
         // uncertainty than one long one.
         let reference = newest.zip(self.continuous_from_reference).zip(continuous_from_base);
         if let Some(((node, before), now)) = reference {
-            let moved = before.between(now);
-            let (distance_m, turn_rad) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
-            return PosePrediction {
-                pose: node.local_from_base * moved,
-                sigma_m: config.sigma_m + config.sigma_m_per_m * distance_m,
-                sigma_rad: config.sigma_rad
-                    + config.sigma_rad_per_rad * turn_rad
-                    + config.sigma_rad_per_m * distance_m,
-                start_covariance: self.reference_covariance,
-                distance_m,
-                allows_dead_reckoning: true,
-            };
+            let measured = MeasuredMotion { moved: before.between(now), unmeasured_s: 0.0 };
+            let start = (node.local_from_base, self.reference_covariance);
+            let prediction = PosePrediction::by_odometry(start, measured, config);
+            return PosePrediction { allows_dead_reckoning: true, ..prediction };
+        }
+        if let Some(measured) = self.measured_motion(last, stamp, config) {
+            return PosePrediction::by_odometry((last.local_from_base, last.covariance), measured, config);
         }
         let motion = last.motion.filter(|_| interval_s < CONSTANT_MOTION_MAX_S);
         let step = motion
@@ -202,6 +219,20 @@ impl MotionModel {
             distance_m: step.x_m.hypot(step.y_m),
             allows_dead_reckoning: false,
         }
+    }
+
+    /// The motion since the last scan as far as odometry measured it, where it was missing at one of their stamps; `None` if it claims
+    /// more than the robot can have driven.
+    fn measured_motion(
+        &self,
+        last: &LastScan,
+        stamp: Stamp,
+        config: &OdometryConfig,
+    ) -> Option<MeasuredMotion> {
+        let measured = self.odometry.motion_between(last.stamp, stamp)?;
+        let possible_m = config.speed_max_m_s * (stamp - last.stamp) + ODOMETRY_JUMP_MARGIN_M;
+        let distance_m = measured.moved.x_m.hypot(measured.moved.y_m);
+        Some(measured).filter(|_| distance_m <= ODOMETRY_JUMP_FACTOR * possible_m)
     }
 
     /// Sensor poses of a scan whose beams took `seconds`, from odometry; `None` if it does not cover the sweep.

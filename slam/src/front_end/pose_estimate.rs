@@ -1,8 +1,8 @@
 //! What the front end gives out: the pose in the map, its covariance and its state.
 
+use super::FrontEnd;
 use super::local_frame::LocalFrameInMap;
 use super::scan_matcher::TrackedPose;
-use super::{FrontEnd, PoseWithOdometry};
 use crate::graph::upper_triangle;
 use msg::{Pose2, PoseEstimate, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
@@ -44,8 +44,7 @@ impl FrontEnd {
         }
     }
 
-    /// The answer to a scan. `continuous_from_base` is `None` if odometry is missing at its stamp: the transform of `odom` stays
-    /// as it was.
+    /// The answer to a scan. `continuous_from_base` is `None` if odometry is missing at its stamp.
     pub(super) fn pose_estimate(
         &mut self,
         scan: &Scan,
@@ -58,16 +57,9 @@ impl FrontEnd {
             true => self.frame.covariance_in_map(pose.covariance, map_from_base),
             false => unknown_pose_covariance(),
         };
-        if let (Some(continuous_from_base), true) = (continuous_from_base, is_located) {
-            self.newest_with_odometry = Some(PoseWithOdometry {
-                map_from_base,
-                base_from_continuous: continuous_from_base.inverse(),
-            });
-        }
-        let continuous_from_odom = self.motion.odometry.continuous_from_odom();
-        let map_from_odom = self
-            .newest_with_odometry
-            .map(|newest| newest.map_from_base * (newest.base_from_continuous * continuous_from_odom));
+        let located = is_located.then_some(map_from_local);
+        self.odom_in_map.update(pose.local_from_base, continuous_from_base, located);
+        let map_from_odom = self.odom_in_map.map_from_odom(self.motion.odometry.continuous_from_odom());
         PoseEstimate {
             header: msg::Header { stamp: scan.header.stamp, ..Default::default() },
             scan_seq: scan.header.seq,

@@ -2,7 +2,7 @@
 
 use super::motion::MotionModel;
 use super::node_builder::NodeBuilder;
-use super::{FrontEnd, FrontEndCounts, LastScan, PoseWithOdometry};
+use super::{FrontEnd, FrontEndCounts, LastScan};
 use crate::config::SlamConfig;
 use crate::node::{MapFrameUpdate, Node, SweptPath};
 use crate::odometry::OdometryBuffer;
@@ -92,12 +92,10 @@ impl FrontEnd {
         front.frame.last_odometry_break = state.last_odometry_break;
         front.frame.closures = state.closures;
         front.counts = state.counts;
-        front.newest_with_odometry = state.last.filter(|_| state.located).and_then(|last| {
-            Some(PoseWithOdometry {
-                map_from_base: state.map_from_local * last.local_from_base,
-                base_from_continuous: last.continuous_from_base?.inverse(),
-            })
-        });
+        if let Some(last) = state.last {
+            let map_from_local = state.located.then_some(state.map_from_local);
+            front.odom_in_map.update(last.local_from_base, last.continuous_from_base, map_from_local);
+        }
         front
     }
 

@@ -28,13 +28,12 @@ pub struct FrontEndLoop<P: Ports> {
 }
 
 impl<P: Ports> FrontEndLoop<P> {
-    /// Opens the channels. `restart_map_from_odom` is the pose of `odom` in the map before the restart, if the front end does
-    /// not know its own pose.
+    /// Opens the channels.
     pub fn open(
         ports: &P,
         run: &Run,
         robot: RobotId,
-        (front, restart_map_from_odom): (FrontEnd, Option<Pose2>),
+        beginning: BeginningFrontEnd,
         events: SyncSender<BackEndInput>,
         commands: Receiver<FrontCommand>,
     ) -> Result<Self, ChannelError> {
@@ -44,7 +43,7 @@ impl<P: Ports> FrontEndLoop<P> {
             scan_listener: ports.listener(&channel::scan(robot))?,
             odometry: ports.reader(&channel::odometry(robot))?,
             pose_estimates: ports.writer(&channel::pose_estimate(robot))?,
-            runner: FrontEndRunner::new(front, restart_map_from_odom, events, commands),
+            runner: FrontEndRunner::new(beginning, events, commands),
             refused: 0,
         })
     }
@@ -99,6 +98,16 @@ impl<P: Ports> Listens<P::Listener> for FrontEndLoop<P> {
     }
 }
 
+/// The front end with which a process begins, and where it begins.
+pub struct BeginningFrontEnd {
+    /// The front end, new or of a session.
+    pub front: FrontEnd,
+    /// Pose of `odom` in the map before the restart of the process, if the front end does not know its own pose.
+    pub restart_map_from_odom: Option<Pose2>,
+    /// The same, whatever the front end knows; `None`: the process is the first one, or nobody knew it.
+    pub given_map_from_odom: Option<Pose2>,
+}
+
 /// The front end, and its queues to and from the back end.
 struct FrontEndRunner {
     front: Box<FrontEnd>,
@@ -107,6 +116,8 @@ struct FrontEndRunner {
     paused: bool,
     /// Pose of `odom` in the map before a restart, until the first scan has used it.
     restart_map_from_odom: Option<Pose2>,
+    /// Pose of `odom` in the map before the restart of the process, as the launcher knew it.
+    given_map_from_odom: Option<Pose2>,
     /// Where the front end began anew, reported with the next node.
     trajectory_start: Option<TrajectoryStart>,
     /// Number of scans that have waited for odometry.
@@ -121,8 +132,7 @@ struct FrontEndRunner {
 
 impl FrontEndRunner {
     fn new(
-        front: FrontEnd,
-        restart_map_from_odom: Option<Pose2>,
+        BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom }: BeginningFrontEnd,
         events: SyncSender<BackEndInput>,
         commands: Receiver<FrontCommand>,
     ) -> Self {
@@ -131,6 +141,7 @@ impl FrontEndRunner {
             number: 0,
             paused: false,
             restart_map_from_odom,
+            given_map_from_odom,
             trajectory_start: None,
             last: None,
             waited: 0,
@@ -178,13 +189,16 @@ impl FrontEndRunner {
     }
 
     fn add_odometry(&mut self, odometry: &Odometry) {
+        // A message of the driver before, that comes late, says nothing about where `odom` lies now.
+        if !self.front.add_odometry(odometry) {
+            return;
+        }
         let before = self.odometry.replace(*odometry);
         if let Some(before) = before.filter(|before| before.header.incarnation != odometry.header.incarnation)
         {
             // The restarted driver counts odometry from a new origin; the robot stood meanwhile.
             self.move_odom_origin(before.odom_from_base * odometry.odom_from_base.inverse());
         }
-        self.front.add_odometry(odometry);
         if self.front.take_unknown_motion() {
             self.trajectory_start = Some(TrajectoryStart::Unknown);
         }
@@ -193,6 +207,9 @@ impl FrontEndRunner {
     /// Follows an origin of odometry that a restarted driver has set anew, in each pose of `odom` that is kept.
     fn move_odom_origin(&mut self, odom_from_new_odom: Pose2) {
         if let Some(map_from_odom) = &mut self.restart_map_from_odom {
+            *map_from_odom = *map_from_odom * odom_from_new_odom;
+        }
+        if let Some(map_from_odom) = &mut self.given_map_from_odom {
             *map_from_odom = *map_from_odom * odom_from_new_odom;
         }
         if let Some(last) = self.last.as_mut().filter(|last| last.map_from_odom().is_some()) {
@@ -250,6 +267,8 @@ impl FrontEndRunner {
     fn continue_after_replacement(&mut self, keeps_pose: bool) {
         (self.restart_map_from_odom, self.trajectory_start, self.waited) = (None, None, 0);
         match self.last.filter(|_| keeps_pose) {
+            // No scan has come since the process was started again.
+            None if keeps_pose => self.restart_map_from_odom = self.given_map_from_odom,
             Some(last) if last.map_from_odom().is_some() => self.restart_map_from_odom = last.map_from_odom(),
             Some(last) => {
                 // Without odometry: the new front end's frame lies where the robot stands.

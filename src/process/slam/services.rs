@@ -129,6 +129,10 @@ impl<P: Ports> Services<P> {
     }
 
     fn reset(&mut self, state: &mut WorkerState) -> RequestResult {
+        let has_map = !state.back.nodes().is_empty();
+        if has_map && !state.back.is_located() {
+            return Err(RequestRefused::NotLocated);
+        }
         let mode = match state.back.mode() {
             // After a reset there is no map to localize in.
             SlamMode::Localization => SlamMode::Mapping,
