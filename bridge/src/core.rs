@@ -31,7 +31,9 @@ use crate::router::{
 use crate::services::{Provider, ServiceCalls};
 use crate::slam_services::SlamServices;
 use crate::world::WorldInput;
-use msg::{CommandSource, FleetStats, Header, Monotonic, OperatorAction, RobotId, VelocityCommand};
+use msg::{
+    CommandSource, FleetStats, Header, Monotonic, OperatorAction, PauseReason, RobotId, VelocityCommand,
+};
 use ros_messages::{Bool, Int32, RobotNames, Twist};
 use std::net::SocketAddr;
 
@@ -290,7 +292,7 @@ impl Core {
     pub fn set_emergency_stop(&mut self) {
         self.gate.set_stopped(true);
         let robots: Vec<RobotId> = self.fleet.robots().collect();
-        self.pause_navigation(robots);
+        self.pause_navigation_because(robots, PauseReason::EmergencyStop);
         self.commands.push_operator_event(OperatorAction::Stop, None);
         self.send_velocities();
         self.publish_stop();

@@ -144,9 +144,10 @@ impl ExplorerState {
         }
     }
 
-    /// Returns whether the exploration drives the robot by goals, or will as soon as it can reach one.
-    pub fn is_driven(self) -> bool {
-        matches!(self, Self::Exploring | Self::Revisiting | Self::Excluded | Self::Enclosed)
+    /// Returns whether the exploration drives the robot, or may drive it at any time: a lost robot looks for its place, a silent one
+    /// comes back.
+    pub fn may_drive(self) -> bool {
+        !matches!(self, Self::None | Self::Manual)
     }
 
     /// Says for people why the robot has no part in the exploration; `None` if it has, or if there is no exploration.
@@ -290,6 +291,13 @@ impl ExplorationReport {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_exploration_may_drive_all_robots_but_those_that_persons_have() {
+        let left_alone: Vec<ExplorerState> =
+            ExplorerState::ALL.into_iter().filter(|state| !state.may_drive()).collect();
+        assert_eq!(left_alone, [ExplorerState::None, ExplorerState::Manual]);
+    }
 
     #[test]
     fn damaged_messages_are_read_within_their_bounds() {

@@ -39,13 +39,17 @@ pub enum PauseReason {
     InterruptedAtRobot = 4,
     /// At the base: velocities reach the robot too late for it to follow them.
     LateVelocities = 5,
+    /// The emergency stop of this machine was set.
+    EmergencyStop = 6,
 }
 
 impl PauseReason {
     /// Decodes a reason; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
-        use PauseReason::{Base, DrivenAtRobot, InterruptedAtRobot, LateVelocities, Person, StoppedAtRobot};
-        [Person, Base, StoppedAtRobot, DrivenAtRobot, InterruptedAtRobot, LateVelocities]
+        use PauseReason::{
+            Base, DrivenAtRobot, EmergencyStop, InterruptedAtRobot, LateVelocities, Person, StoppedAtRobot,
+        };
+        [Person, Base, StoppedAtRobot, DrivenAtRobot, InterruptedAtRobot, LateVelocities, EmergencyStop]
             .into_iter()
             .find(|reason| *reason as u32 == code)
     }
@@ -54,6 +58,9 @@ impl PauseReason {
     pub fn text(self) -> &'static str {
         match self {
             Self::Person => "a person drives or has stopped the robot; resume, or send a new goal",
+            Self::EmergencyStop => {
+                "the emergency stop was set; when it is released, resume, or send a new goal"
+            }
             Self::Base => "the base drives the robot; resume, or send a new goal",
             Self::StoppedAtRobot => {
                 "the robot is stopped at its own machine; `mr-slam release` there, then resume, or send a new goal"

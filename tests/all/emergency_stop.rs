@@ -1,6 +1,7 @@
 //! `mr-slam stop` without a folder: every fleet of the user, and bridges that do not answer.
 
 use crate::harness::{Folder, WATCHDOG, mr_slam, output_of, send};
+use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustix::process::Signal;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
@@ -200,7 +201,9 @@ fn a_fleet_whose_folder_was_moved_is_named_and_stopped_all_the_same() {
         until("a bridge that answers", || fleets.is_stopped(number));
     }
     let (dir, elsewhere) = (fleets.run_dir(0), fleets.folder.path().join("elsewhere"));
-    std::fs::rename(&dir, &elsewhere).unwrap();
+    // A file in its place, at once: the launcher cannot make the folder anew.
+    std::fs::write(&elsewhere, "in the way").unwrap();
+    renameat_with(CWD, &dir, CWD, &elsewhere, RenameFlags::EXCHANGE).unwrap();
     let stop = output_of(fleets.command().args(["stop", "--json"]));
     let status = output_of(fleets.command().args(["status", "--json"]));
     let said: Value = serde_json::from_slice(&stop.stdout).unwrap();

@@ -277,7 +277,8 @@ impl Core {
         self.send_velocities();
         // The navigator's last zero after a pause is refused too, and needs no other pause.
         let reason = match decision {
-            GateDecision::Stopped | GateDecision::DrivenBy(_) => PauseReason::Person,
+            GateDecision::Stopped => PauseReason::EmergencyStop,
+            GateDecision::DrivenBy(_) => PauseReason::Person,
             GateDecision::DrivenByBase => PauseReason::Base,
             _ => return,
         };
@@ -308,7 +309,7 @@ impl Core {
             !status.is_final() && !matches!(status, NavigationStatus::Idle | NavigationStatus::Paused);
         self.gate.drive_mut().set_navigated(robot, is_active);
         if self.gate.drive().is_stopped() {
-            self.pause_navigation([robot]);
+            self.pause_navigation_because([robot], PauseReason::EmergencyStop);
         }
     }
 
@@ -316,10 +317,10 @@ impl Core {
     pub fn record_exploration(&mut self, report: &ExplorationReport) {
         let robots: Vec<RobotId> = self.fleet.robots().collect();
         for robot in robots {
-            let is_exploring = !report.status().is_final() && report.robot(robot.index()).is_driven();
+            let is_exploring = !report.status().is_final() && report.robot(robot.index()).may_drive();
             self.gate.drive_mut().set_exploring(robot, is_exploring);
             if self.gate.drive().is_stopped() {
-                self.pause_navigation([robot]);
+                self.pause_navigation_because([robot], PauseReason::EmergencyStop);
             }
         }
     }

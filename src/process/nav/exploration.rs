@@ -14,8 +14,7 @@ use msg::{
 /// Period of the states while the exploration goes on, nanoseconds.
 const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 /// Why it stands while persons have all robots.
-const ALL_TAKEN: &str =
-    "persons or the base have taken or stopped all robots; resume them, or start the exploration again";
+const ALL_TAKEN: &str = "persons, the base or the emergency stop have all robots; release the stop if it is set, then resume or explore again";
 const MAP_TOO_LARGE: &str =
     "the map is larger than the 51 m on which exploration plans; what lies farther away was not looked at";
 const STOPPED: &str = "stopped on demand";

@@ -147,11 +147,18 @@ impl<S: Storage> FileJobs for NavigationFile<S> {
             self.has_warned = false;
             return true;
         };
+        // What the file has is out of date: a restarted process would drive to goals that were cancelled, and through zones.
+        let removed = self.storage.remove(&self.path);
         if !std::mem::replace(&mut self.has_warned, true) {
             let path = self.path.display();
-            tracing::warn!(
-                "{path}: {why}; until it can be written, a restarted navigation goes on with what it has"
-            );
+            match removed {
+                Ok(()) => tracing::warn!(
+                    "{path}: {why}; until it can be written, a restarted navigation begins without goals, exploration and zones"
+                ),
+                Err(_) => tracing::warn!(
+                    "{path}: {why}; until it can be written, a restarted navigation goes on with what it has"
+                ),
+            }
         }
         false
     }
