@@ -132,6 +132,25 @@ pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetErr
     true_starts(config)
 }
 
+/// Returns whether the fleet's `map` is in a frame of its own, whose place in the room is not known: the robots start anywhere, or did
+/// when the maps were made with which they begin.
+pub fn has_own_frame(config: &FleetConfig) -> bool {
+    !config.fleet.starts_known || config.sessions.folder().is_some_and(sessions::have_own_frame)
+}
+
+/// Returns where each robot's map truly begins in the room, in a simulation; unknown for maps of an earlier run that are in a frame of
+/// their own.
+pub fn starts_in_room(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
+    let mut starts = true_starts(config)?;
+    if let Some(folder) = config.sessions.folder().filter(|folder| sessions::have_own_frame(folder)) {
+        let robots = RobotId::first(config.fleet.robots).zip(&mut starts);
+        robots
+            .filter(|(robot, _)| sessions::file(folder, *robot).exists())
+            .for_each(|(_, start)| *start = None);
+    }
+    Ok(starts)
+}
+
 /// Returns the true transform of each robot's map if it is known: in a simulation from `world`, otherwise from `map`
 /// as configured.
 pub fn true_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {

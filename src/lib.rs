@@ -27,7 +27,6 @@ pub mod merge_state_file;
 pub mod nasa_tlx;
 pub mod observer;
 pub mod offered_room;
-pub mod terminal;
 // Files that outlive a process.
 pub mod session_file;
 pub mod sessions;

@@ -18,7 +18,9 @@ use std::path::{Path, PathBuf};
 pub const FOLDER: &str = "sessions";
 /// File with the poses of the robots' maps.
 const STARTS: &str = "starts.json";
-/// Largest such file that is read, bytes.
+/// File that a folder has whose maps are in a frame of their own: where that lies in the room is not known.
+const OWN_FRAME: &str = "own_frame";
+/// Largest file of poses that is read, bytes.
 const STARTS_BYTES_MAX: u64 = 64 << 10;
 /// Largest coordinate of a map's pose, metres or radians.
 const START_MAX: f64 = 1e6;
@@ -157,7 +159,13 @@ fn read_starts(path: &Path) -> Result<Starts, SessionsError> {
     }
 }
 
-/// Creates a run's folder for sessions with the poses of the robots' maps that are known.
+/// Returns whether a folder's maps are in a frame of their own, whose place in the room is not known: their robots had started anywhere.
+pub fn have_own_frame(folder: &Path) -> bool {
+    folder.join(OWN_FRAME).exists()
+}
+
+/// Creates a run's folder for sessions with the poses of the robots' maps that are known. The maps may be in a frame of their own
+/// (`is_own_frame`), see [`have_own_frame`].
 ///
 /// Sessions that an earlier run left there are renamed, and stay until the next run in the folder: this run would overwrite them, or
 /// a fleet that begins with the folder would take them for maps of this run. Those of this fleet's robots stay as they are if it
@@ -166,6 +174,7 @@ pub fn create_folder(
     folder: &Path,
     known: &[Option<Pose2>],
     begin_with: Option<&Path>,
+    is_own_frame: bool,
 ) -> Result<(), SessionsError> {
     let real = |path: &Path| path.canonicalize().ok();
     let is_continued = begin_with.and_then(real).is_some_and(|begun| real(folder) == Some(begun));
@@ -180,7 +189,13 @@ pub fn create_folder(
     std::fs::create_dir_all(folder)
         .and_then(|()| {
             let text = serde_json::to_string_pretty(&starts)? + "\n";
-            formats::atomic::write(&path, |file| file.write_all(text.as_bytes()))
+            formats::atomic::write(&path, |file| file.write_all(text.as_bytes()))?;
+            let own_frame = folder.join(OWN_FRAME);
+            match is_own_frame {
+                true => std::fs::write(own_frame, "The place of these maps in the room is not known.\n"),
+                false if own_frame.exists() => std::fs::remove_file(own_frame),
+                false => Ok(()),
+            }
         })
         .map_err(|source| SessionsError::StartsFile { file: path.clone(), source })
 }
@@ -215,7 +230,7 @@ mod tests {
     fn places_of_maps_come_back() {
         let folder = tempfile::tempdir().unwrap();
         let known = [Some(Pose2::new(1.0, 2.0, 0.5)), None, Some(Pose2::IDENTITY)];
-        create_folder(folder.path(), &known, None).unwrap();
+        create_folder(folder.path(), &known, None, false).unwrap();
         let mut config = FleetConfig::default();
         config.sessions.begin_with = folder.path().into();
         let elsewhere = vec![Some(Pose2::new(9.0, 9.0, 0.0)); 3];
@@ -228,11 +243,20 @@ mod tests {
     }
 
     #[test]
+    fn the_frame_of_maps_of_robots_that_started_anywhere_is_their_own_until_another_run_is_saved_there() {
+        let folder = tempfile::tempdir().unwrap();
+        for is_own_frame in [false, true, false] {
+            create_folder(folder.path(), &[Some(Pose2::IDENTITY)], None, is_own_frame).unwrap();
+            assert_eq!(have_own_frame(folder.path()), is_own_frame);
+        }
+    }
+
+    #[test]
     fn sessions_of_robots_that_an_earlier_run_had_are_not_those_of_this_one() {
         let folder = tempfile::tempdir().unwrap();
         let files = [1, 2, 3].map(|number| file(folder.path(), RobotId::new(number).unwrap()));
         files.iter().for_each(|path| std::fs::write(path, "a session").unwrap());
-        create_folder(folder.path(), &[None, None], Some(folder.path())).unwrap();
+        create_folder(folder.path(), &[None, None], Some(folder.path()), false).unwrap();
         assert!(files[0].exists() && files[1].exists() && !files[2].exists());
         assert!(folder.path().join("robot3.slam.earlier").exists(), "nothing is deleted");
     }
@@ -243,7 +267,7 @@ mod tests {
         let place = |name: &str| folder.path().join(name);
         let elsewhere = tempfile::tempdir().unwrap();
         for (run, begin_with) in [("first", None), ("second", None), ("third", Some(elsewhere.path()))] {
-            create_folder(folder.path(), &[Some(Pose2::IDENTITY), None], begin_with).unwrap();
+            create_folder(folder.path(), &[Some(Pose2::IDENTITY), None], begin_with, false).unwrap();
             for name in ["robot1.slam", "robot2.slam", "robot2.log1"] {
                 assert!(!place(name).exists(), "{run}: {name} would be overwritten");
                 std::fs::write(place(name), run).unwrap();

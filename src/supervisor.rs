@@ -41,13 +41,16 @@ struct Member {
     policy: RestartPolicy,
     /// The child process, while it runs.
     child: Option<Child>,
+    /// Whether it died so often that it is not started again.
+    is_given_up: bool,
     /// Watchdogs of the child's main and second thread.
     watchdogs: [Watchdog; WatchedThread::COUNT],
 }
 
 impl Member {
     fn new(row: &'static ProcessRow, robot: Option<RobotId>, now: Monotonic) -> Self {
-        Self { row, robot, policy: RestartPolicy::new(now), child: None, watchdogs: watchdogs(row, now) }
+        let (policy, watchdogs) = (RestartPolicy::new(now), watchdogs(row, now));
+        Self { row, robot, policy, child: None, is_given_up: false, watchdogs }
     }
 
     fn name(&self) -> String {
@@ -234,6 +237,11 @@ impl Supervisor {
         command.stdin(stdin).process_group(0).spawn()
     }
 
+    /// Returns the names of the processes that died so often that they were not started again.
+    pub fn given_up(&self) -> Vec<String> {
+        self.members.iter().filter(|member| member.is_given_up).map(Member::name).collect()
+    }
+
     /// Asks every child to end, kills those that do not, and removes the run's shared memory. Returns what a killed recorder lost.
     pub fn end(&mut self) -> Option<String> {
         let children = || self.members.iter().filter_map(|member| member.child.as_ref());
@@ -304,12 +312,15 @@ fn notice_death(member: &mut Member, tell: &mut dyn FnMut(String)) -> bool {
 
 fn record_death(member: &mut Member, tell: &mut dyn FnMut(String)) {
     if member.policy.on_death(now()) == State::GivenUp {
+        member.is_given_up = true;
         tell(format!("the {} died {DEATHS_MAX} times in a row and is not started again", member.name()));
     }
 }
 
 /// What the kernel sends when shared memory runs out.
 const SIGBUS: i32 = Signal::BUS.as_raw();
+/// What the kernel sends at the limit of a file's size.
+const SIGXFSZ: i32 = Signal::XFSZ.as_raw();
 
 fn describe(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
@@ -319,6 +330,7 @@ fn describe(status: ExitStatus) -> String {
             let free = crate::resources::free_bytes(Path::new(SHARED_MEMORY)).unwrap_or(0);
             format!("signal {SIGBUS}, as when {SHARED_MEMORY} is full: {:.1} MB free", free as f64 * 1e-6)
         }
+        (None, Some(SIGXFSZ)) => format!("signal {SIGXFSZ}: a file would exceed the limit of `ulimit -f`"),
         (None, Some(signal)) => format!("signal {signal}"),
         (None, None) => "no reason given".into(),
     }

@@ -10,6 +10,7 @@ mod map_picture;
 mod plots;
 mod series;
 mod system;
+pub mod terminal;
 mod view;
 mod workload;
 

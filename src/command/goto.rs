@@ -7,6 +7,7 @@ use super::output;
 use super::run_args::RunArgs;
 use super::waiting::{WaitError, Waiting};
 use crate::channel::{self, Opener, Program};
+use crate::control::{self, Request};
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, Reader, Writer, let_readers_look, wait};
@@ -22,6 +23,8 @@ use std::time::{Duration, Instant};
 
 /// Longest time without an answer to a cancellation after Ctrl-C.
 const CANCEL_PATIENCE: Duration = Duration::from_secs(1);
+/// How long the bridge may take to say whether the emergency stop is set.
+const BRIDGE_PATIENCE: Duration = Duration::from_secs(1);
 /// Period at which the state is looked at, nanoseconds.
 const POLL_NS: u64 = 50_000_000;
 
@@ -100,6 +103,12 @@ pub enum GotoError {
         /// Why it did not arrive.
         reason: String,
     },
+    /// The emergency stop is set: the goal would not be driven to after its release either.
+    #[error("run {}: the emergency stop is set; `mr-slam release` first, then send the goal", run.display())]
+    EmergencyStop {
+        /// Folder of the run.
+        run: PathBuf,
+    },
     /// Another goal came before the robot arrived.
     #[error("{0} has got another goal meanwhile")]
     Replaced(RobotId),
@@ -123,6 +132,11 @@ pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
     let (robots, found) = (run.config.fleet.robots, args.robot.number());
     if found > robots {
         return Err(GotoError::Robot { run: run.dir.clone(), found, robots });
+    }
+    // A bridge that does not answer pauses the goal later, if it has to.
+    let bridge = control::ask(&run, Request::State, BRIDGE_PATIENCE);
+    if !args.cancel && bridge.is_ok_and(|bridge| bridge.stopped) {
+        return Err(GotoError::EmergencyStop { run: run.dir });
     }
     let begun = Instant::now();
     let report = send(&run, args, stop)?;

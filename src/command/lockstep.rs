@@ -6,6 +6,7 @@ use self::exploration::{ExplorationOutcome, WatchedExploration};
 use super::fleet_args::FleetArgs;
 use super::{Error, output};
 use crate::config::FleetConfig;
+use crate::fleet;
 use crate::lockstep::Lockstep;
 use crate::lockstep::faults::FaultPlan;
 use crate::lockstep::invariants::{Checker, quiet_from};
@@ -137,7 +138,8 @@ fn write_results(dir: &Path, config: &FleetConfig, fleet: &mut Lockstep) -> Resu
     keep_earlier_results(dir)?;
     fleet.write_maps(|name| dir.join(name))?;
     let folder = dir.join(sessions::FOLDER);
-    sessions::create_folder(&folder, fleet.known_starts(), config.sessions.folder())?;
+    let begin_with = config.sessions.folder();
+    sessions::create_folder(&folder, fleet.known_starts(), begin_with, fleet::has_own_frame(config))?;
     for (robot, session) in fleet.sessions() {
         session_file::write(&sessions::file(&folder, robot), &session)?;
     }

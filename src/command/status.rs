@@ -9,7 +9,6 @@ use crate::ports::ChannelError;
 use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport, REPORT_AGE_MAX};
 use crate::run::{Run, RunError};
-use crate::terminal;
 use reports::FleetView;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -69,7 +68,7 @@ pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
     let text = || {
         let age_s = crate::clock::now().since(run.begun) as f64 * 1e-9;
         let heading = format!("run {} on port {}, {age_s:.0} s\n", run.dir.display(), run.port);
-        let style = terminal::style(&std::io::stdout());
+        let style = reports::terminal::style(&std::io::stdout());
         let link: String = link.iter().flatten().filter_map(line).collect();
         let latch = latch_line(&fleet, stop_latched);
         format!("{heading}{link}{}{latch}\n{}", fleet.table(&style), fleet.process_table(&style))

@@ -134,6 +134,9 @@ pub enum UpError {
     /// The machine has too little of a resource.
     #[error(transparent)]
     Shortage(#[from] Shortage),
+    /// Processes died so often that they were not started again. What there is of results is written.
+    #[error("not a whole fleet: {} died again and again, and did not run at the end; the messages above say of what", .0.join(", "))]
+    GivenUp(Vec<String>),
     /// Some results cannot be written. The others are there.
     #[error("not everything was written: {}", .0.join("; "))]
     NotWritten(Vec<String>),
@@ -264,13 +267,15 @@ fn run_created(
     stop: &Stop,
 ) -> Result<Report, UpError> {
     let known = fleet::known_starts(&run.config)?;
-    sessions::create_folder(&sessions::folder(run), &known, run.config.sessions.folder())
+    let (folder, begin_with) = (sessions::folder(run), run.config.sessions.folder());
+    sessions::create_folder(&folder, &known, begin_with, fleet::has_own_frame(&run.config))
         .map_err(FleetError::from)?;
     keep_earlier_results(&run.dir)?;
     let mut screen = Screen::new(run, args.in_background);
     check_resources(run, &mut screen)?;
     let mut supervisor = Supervisor::start(run, listener)?;
     let result = watch(run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
+    let given_up = supervisor.given_up();
     let lost = supervisor.end();
     let mut report = result?;
     report.not_written.extend(lost);
@@ -278,7 +283,11 @@ fn run_created(
     screen.end(&report);
     let mut missing = report.not_written.clone();
     missing.extend(written.err().map(|why| why.to_string()));
-    if missing.is_empty() { Ok(report) } else { Err(UpError::NotWritten(missing)) }
+    match (missing.is_empty(), given_up.is_empty()) {
+        (false, _) => Err(UpError::NotWritten(missing)),
+        (true, false) => Err(UpError::GivenUp(given_up)),
+        (true, true) => Ok(report),
+    }
 }
 
 /// Tends the processes and shows the figures until the fleet is to end.

@@ -78,7 +78,7 @@ impl<P: Ports> TelemetryProcess<P> {
     /// Opens all channels; the first figures are due in a second. They have no coverage without the room's `plan`, frame `world`.
     pub fn open(ports: &P, run: &Run, plan: Option<Grid>) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Telemetry, None)?;
-        let starts = fleet::true_starts(&run.config)?;
+        let starts = fleet::starts_in_room(&run.config)?;
         let clock = ports.clock();
         Ok(Self {
             telemetry: Telemetry::new(run.config.fleet.robots, plan, &starts),

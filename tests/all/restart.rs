@@ -97,6 +97,9 @@ fn a_fleet_whose_folder_was_moved_makes_it_anew_and_its_next_bridge_stops_the_ro
     let status = output(&["status", "--json", "--run-dir", &folder]);
     let status: serde_json::Value = serde_json::from_slice(&status.stdout).unwrap();
     assert_eq!(status["bridge"]["stopped"], true, "what was saved of a stop is gone: {status}");
+    let goal = output(&["goto", "1", "0.3,0", "--no-wait", "--run-dir", &folder]);
+    let said = String::from_utf8_lossy(&goal.stderr).into_owned();
+    assert!(!goal.status.success() && said.contains("the emergency stop is set"), "{said}");
     let released = output(&["release", "--run-dir", &folder]);
     assert!(released.status.success(), "{released:?}");
     let ended = fleet.end(Signal::TERM);

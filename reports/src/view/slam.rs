@@ -19,7 +19,7 @@ pub struct SlamView<'a> {
     pub paused: bool,
     /// Whether the robot's pose in the map is known.
     pub located: bool,
-    /// Pose of `base_footprint` in `robotK/map`: x m, y m, yaw rad; `None`: not known.
+    /// Pose of `base_footprint` in `robotK/map` at the newest node: x m, y m, yaw rad; `None`: not known.
     pub map_from_base: Option<[f64; 3]>,
     /// Number of nodes in the pose graph.
     pub nodes: u32,
@@ -85,7 +85,7 @@ impl<'a> SlamView<'a> {
     pub fn table(&self) -> String {
         let Self { mode, nodes, links, closures, retracted, .. } = self;
         let pose = match self.map_from_base {
-            Some([x, y, yaw]) => format!("{x:.2} {y:.2} m, {yaw:.2} rad"),
+            Some([x, y, yaw]) => format!("{x:.2} {y:.2} m, {yaw:.2} rad at the newest node"),
             None => "not located yet".into(),
         };
         let paused = if self.paused { ", paused" } else { "" };

@@ -4,8 +4,7 @@ use super::page;
 use super::report::Report;
 use crate::command::output::{note, note_text};
 use crate::run::Run;
-use crate::terminal;
-use reports::{Emphasis, FleetView, Style};
+use reports::{Emphasis, FleetView, Style, terminal};
 use std::io::stderr;
 use std::time::{Duration, Instant};
 

@@ -1,6 +1,6 @@
 //! The terminal of a standard stream: its size, and whether it shows colours.
 
-use reports::Style;
+use crate::Style;
 use rustix::termios::{isatty, tcgetwinsize};
 use std::os::fd::AsFd;
 
