@@ -224,7 +224,7 @@ pub struct ExplorationReport {
     pub header: Header,
     /// Number of the newest command that was applied; 0 before the first.
     pub number: u64,
-    /// Area that the maps of the exploration show, square metres.
+    /// Area that the maps of the exploration show, square metres; not a number before the first.
     pub known_m2: f64,
     /// Least time expected until nothing reachable is unknown, seconds; not a number if it is not known.
     pub least_s: f64,
@@ -248,7 +248,7 @@ pub struct ExplorationReport {
 
 impl Default for ExplorationReport {
     fn default() -> Self {
-        Self { least_s: f64::NAN, most_s: f64::NAN, ..Self::zeroed() }
+        Self { known_m2: f64::NAN, least_s: f64::NAN, most_s: f64::NAN, ..Self::zeroed() }
     }
 }
 

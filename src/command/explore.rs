@@ -87,7 +87,7 @@ pub struct Answer {
     state: &'static str,
     reason: String,
     seconds: f64,
-    known_m2: f64,
+    known_m2: Option<f64>,
     least_s: Option<f64>,
     most_s: Option<f64>,
     robots: Vec<&'static str>,
@@ -107,6 +107,11 @@ struct AnswerLeftover {
     reason: String,
 }
 
+/// Says for people how much area is known, if that is known.
+fn known_area(known_m2: Option<f64>) -> String {
+    known_m2.map_or_else(String::new, |known_m2| format!(", {known_m2:.1} m2 known"))
+}
+
 impl Answer {
     /// Describes an exploration that has taken so many seconds until now, or until its end.
     pub(super) fn new(report: &ExplorationReport, robots: usize, seconds: f64) -> Self {
@@ -123,7 +128,7 @@ impl Answer {
             state: report.status().name(),
             reason: report.reason().to_owned(),
             seconds,
-            known_m2: report.known_m2,
+            known_m2: finite(report.known_m2),
             least_s: finite(report.least_s),
             most_s: finite(report.most_s),
             robots: (0..robots).map(|index| report.robot(index).name()).collect(),
@@ -134,7 +139,8 @@ impl Answer {
 
     /// The answer for people: what was reached, and a line for each place that is left.
     pub(super) fn text(&self) -> String {
-        let mut text = format!("{} after {:.0} s, {:.1} m2 known", self.state, self.seconds, self.known_m2);
+        let known = known_area(self.known_m2);
+        let mut text = format!("{} after {:.0} s{known}", self.state, self.seconds);
         if !self.reason.is_empty() {
             text += &format!(": {}", self.reason);
         }
@@ -262,7 +268,11 @@ impl Progress {
         if is_shown {
             return None;
         }
-        let mut line = format!("{}, {:.1} m2 known", report.status().name(), report.known_m2);
+        let mut line = format!(
+            "{}{}",
+            report.status().name(),
+            known_area(Some(report.known_m2).filter(|known_m2| known_m2.is_finite()))
+        );
         if report.least_s.is_finite() && report.most_s.is_finite() {
             line += &format!(", done in {:.0} to {:.0} s", report.least_s, report.most_s);
         }

@@ -119,10 +119,9 @@ impl FleetExploration {
             .reduce(|a, b| TimeEstimate { least_s: a.least_s.max(b.least_s), most_s: a.most_s.max(b.most_s) })
     }
 
-    /// Area that the maps show, square metres. Where unmerged maps overlap it counts more than once.
-    pub fn known_m2(&self) -> f64 {
-        // The sum of nothing would be -0.
-        self.maps.iter().fold(0.0, |known_m2, map| known_m2 + map.known_m2)
+    /// Area that the maps show, square metres; `None` before the first map. Where unmerged maps overlap it counts more than once.
+    pub fn known_m2(&self) -> Option<f64> {
+        (!self.maps.is_empty()).then(|| self.maps.iter().map(|map| map.known_m2).sum())
     }
 
     /// What is unknown beside known free space, and why no robot goes there.

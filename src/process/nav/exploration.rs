@@ -224,7 +224,7 @@ impl<P: Ports> Exploration<P> {
         let estimate = exploration.estimate().filter(|_| status == ExplorationStatus::Exploring);
         report.least_s = estimate.map_or(f64::NAN, |estimate| estimate.least_s);
         report.most_s = estimate.map_or(f64::NAN, |estimate| estimate.most_s);
-        report.known_m2 = exploration.known_m2();
+        report.known_m2 = exploration.known_m2().unwrap_or(f64::NAN);
         if is_full && exploration.phase() != CoordinationPhase::Exploring {
             let left: Vec<ExplorationLeftover> = exploration.leftovers().iter().map(leftover).collect();
             report.set_leftovers(&left);

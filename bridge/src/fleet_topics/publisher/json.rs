@@ -39,7 +39,7 @@ pub(super) fn exploration_json(
     json!({
         "state": report.status().name(),
         "reason": report.reason(),
-        "known_m2": report.known_m2,
+        "known_m2": finite(report.known_m2),
         "least_s": finite(report.least_s),
         "most_s": finite(report.most_s),
         "robots": robots.robots().map(|robot| report.robot(robot.index()).name()).collect::<Vec<_>>(),
