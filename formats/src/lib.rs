@@ -18,3 +18,4 @@ pub mod gzip;
 pub mod limited;
 pub mod map_file;
 pub mod overwriting;
+pub mod tum;

@@ -8,6 +8,7 @@ mod error;
 mod found;
 mod frames;
 mod namespace;
+mod recorded_time;
 mod times;
 
 pub use error::BagError;
@@ -19,12 +20,18 @@ use found::{Edges, Found, Poses, RawScan};
 use frames::{mirrored, mount, odometry_transform};
 use msg::{Pose2, Scan, Stamp};
 use namespace::{namespace, of_same_robot};
+use recorded_time::RecordedTime;
 use ros_messages::{LaserScan, Message as _};
+use std::collections::HashMap;
 use std::io::Read;
+use std::rc::Rc;
 use times::{in_order, with_scans};
 
 /// Name of a robot's topic with its true poses in the frame `world`.
 pub const GROUND_TRUTH: &str = "ground_truth";
+
+/// Topics whose times are followed: a bag has fewer.
+const TOPICS_MAX: usize = 4096;
 
 /// Which topics and frames of a bag are used; what is not named is found.
 #[derive(Clone, Debug, Default)]
@@ -121,7 +128,12 @@ impl BagReader {
         scan: &mut Scan,
     ) -> Result<Option<(Stamp, Stamp)>, ReadError> {
         let mut ends: Option<(Stamp, Stamp)> = None;
-        while let Some(message) = reader.next_message()? {
+        // For each topic: some programs write one after the other.
+        let mut times: HashMap<Rc<str>, RecordedTime> = HashMap::new();
+        while let Some(mut message) = reader.next_message()? {
+            if times.len() < TOPICS_MAX || times.contains_key(&message.topic) {
+                message.at = times.entry(message.topic.clone()).or_default().next(message.at);
+            }
             // Not of other messages: each part of a bag may repeat fixed transforms.
             if &*message.message_type == LaserScan::TYPE {
                 let (first, last) = ends.unwrap_or((message.at, message.at));

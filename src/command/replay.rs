@@ -14,6 +14,7 @@ mod player_services;
 mod recorded_fleet;
 mod records;
 mod serve;
+mod starts;
 mod summary;
 mod trajectory;
 
@@ -165,6 +166,8 @@ fn finish(args: &ReplayArgs, replayed: Replayed, truth: &[(Stamp, Pose2)]) -> Re
     };
     summary.set_end(trajectory.last().filter(|(stamp, _, _)| *stamp == ended));
     summary.error = TrajectoryError::of_placed(&trajectory, truth);
+    let placed = trajectory.iter().filter(|(_, _, place)| *place == PlaceInMap::Known).count();
+    note_shortcomings(args, &summary, placed);
     if let Some(path) = &args.trajectory {
         write_trajectory(path, trajectory.into_iter())
             .map_err(|source| ReplayError::Write { path: path.clone(), source })?;
@@ -180,7 +183,25 @@ fn finish(args: &ReplayArgs, replayed: Replayed, truth: &[(Stamp, Pose2)]) -> Re
     if let Some(path) = &args.map {
         write_map_with_reasons(&map_file::stem(path), grid, &summary.unreliable_reasons)?;
     }
-    Ok(output::print_either(args.json, &summary, || summary.text())?)
+    output::print_either(args.json, &summary, || summary.text())?;
+    match placed {
+        0 => Err(ReplayError::NothingPlaced { path: args.logs[0].clone(), scans: summary.scans }),
+        _ => Ok(()),
+    }
+}
+
+/// Says what a person may have expected and did not get.
+fn note_shortcomings(args: &ReplayArgs, summary: &Summary, placed: usize) {
+    let missing = summary.not_located + summary.lost;
+    if missing > 0 && placed > 0 {
+        let (lost, not_located) = (summary.lost, summary.not_located);
+        output::note(&format!(
+            "{lost} scans did not match the map, and during {not_located} the robot was not located: the trajectory is not whole"
+        ));
+    }
+    if args.bag.truth_topic.is_some() && summary.error.is_none() {
+        output::note("no true pose was recorded near a scan: there is no error; do both have one clock?");
+    }
 }
 
 /// Result of a replay.

@@ -3,7 +3,7 @@
 use msg::Stamp;
 
 /// Step back of a stamp that is a clock set back and no late message, seconds.
-const STEP_MIN_S: f64 = 1.0;
+pub const STEP_MIN_S: f64 = 1.0;
 /// Stamps in order that make a new time, as for a live robot: fewer are single wrong stamps.
 const IN_ORDER: usize = 5;
 /// Newest messages of a time that are searched for single wrong stamps.

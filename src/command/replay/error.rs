@@ -113,6 +113,14 @@ pub enum ReplayError {
     /// There is no map to localize in.
     #[error("--mode localization needs a session or a map to localize in; expected --session FILE")]
     NothingToLocalizeIn,
+    /// Of no scan the place in the map is known.
+    #[error("{}: none of {scans} scans has a place in the map: the results are empty", path.display())]
+    NothingPlaced {
+        /// Path of the log.
+        path: PathBuf,
+        /// Number of scans that were read.
+        scans: u64,
+    },
     /// Only a fleet's own recording is played for clients.
     #[error(
         "--serve plays the recording of a simulated fleet, as `mr-slam record` and `--record` write it, without --merge \
@@ -146,7 +154,7 @@ pub enum ReplayError {
     Logs(usize),
     /// A line of the file with the starts is malformed.
     #[error(
-        "{path}:{line}: `{found}`: expected `index time x y theta`, a robot of the fleet and finite numbers"
+        "{path}:{line}: `{found}`: expected `index time x y theta`, the first robot with index 0, and finite numbers"
     )]
     Starts {
         /// Path of the file.

@@ -4,7 +4,7 @@
 
 use super::feeder::Feeder;
 use super::records::{Log, LogScan, Records};
-use super::{ReplayArgs, ReplayError, Summary, trajectory::write_trajectory};
+use super::{ReplayArgs, ReplayError, Summary, starts, trajectory::write_trajectory};
 use crate::command::output;
 use formats::map_file::{self, write_map_with_reasons};
 use merge::{FleetPoseGraph, MergeConfig, Merger};
@@ -16,8 +16,6 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Instant;
 
-/// Largest size of the file with the robots' starts, bytes.
-const STARTS_BYTES_MAX: u64 = 1 << 20;
 /// Number of merging tasks after one node; the others wait for the next.
 const TASKS_PER_SCAN: usize = 16;
 /// Largest number of merging tasks when all logs have ended.
@@ -113,7 +111,7 @@ pub fn run(
     let began = Instant::now();
     let logs = args.logs.chunks(1).map(|log| Log::read(log, args)).collect::<Result<Vec<_>, _>>()?;
     let known = match starts {
-        Starts::Known(file) => read_starts(file, logs.len())?,
+        Starts::Known(file) => starts::read(file, logs.len())?,
         Starts::Unknown => vec![None; logs.len()],
     };
     let robots = RobotId::first(logs.len()).zip(&logs).zip(&args.logs);
@@ -138,7 +136,13 @@ pub fn run(
         write_trajectories(folder, &robots, &merged.fleet)?;
     }
     let summary = merged.summary(robots, &map, began);
-    Ok(output::print_either(args.json, &summary, || summary.text())?)
+    output::print_either(args.json, &summary, || summary.text())?;
+    if summary.robots.iter().filter(|robot| robot.merged).count() < 2 {
+        output::note(
+            "no two maps were merged: they share too little floor; the result has the first robot's map alone",
+        );
+    }
+    Ok(())
 }
 
 impl<'a> Robot<'a> {
@@ -337,28 +341,6 @@ fn map_from_robot_map_at(robot: &Robot<'_>, fleet: &FleetPoseGraph, node: u32) -
     let at = |id: u32| fleet.map_from_robot_map_at(robot.id, id);
     let place = robot.submaps.submap_of(node).and_then(|(id, _)| at(id));
     place.or(fleet.map_from_robot_map(robot.id)).unwrap_or(Pose2::IDENTITY)
-}
-
-/// Reads lines `index time x y theta`; `#` begins a comment.
-fn read_starts(path: &Path, count: usize) -> Result<Vec<Option<Pose2>>, ReplayError> {
-    let text = formats::limited::read_text(path, STARTS_BYTES_MAX)
-        .map_err(|source| ReplayError::Read { path: path.to_owned(), source })?;
-    let mut starts = vec![None; count];
-    for (line, text) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-        if text.trim_start().starts_with('#') {
-            continue;
-        }
-        let wrong = || ReplayError::Starts { path: path.to_owned(), line: line + 1, found: text.into() };
-        let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
-        let Some([index, _, x_m, y_m, yaw_rad]) = numbers.as_deref() else { return Err(wrong()) };
-        let robot = (0..starts.len()).find(|robot| *robot as f64 == *index).ok_or_else(wrong)?;
-        let slot = &mut starts[robot];
-        *slot = Some(Pose2::new(*x_m, *y_m, *yaw_rad)).filter(|pose| pose.is_finite());
-        if slot.is_none() {
-            return Err(wrong());
-        }
-    }
-    Ok(starts)
 }
 
 impl FleetSummary {

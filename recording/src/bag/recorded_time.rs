@@ -1,0 +1,51 @@
+//! Times at which messages were recorded, where the recorder's clock was set back.
+
+use super::epochs::STEP_MIN_S;
+use msg::Stamp;
+
+/// Time between the messages before and after a step of the recorder's clock, nanoseconds: how long it was is not known.
+const PAUSE_NS: i64 = 1_000_000;
+
+/// Recorder's time of one topic of a file that never goes back by much: messages stand in the order in which they were recorded, give or take
+/// what a recorder's cache delays.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RecordedTime {
+    newest: Option<Stamp>,
+    offset_ns: i64,
+}
+
+impl RecordedTime {
+    /// Returns the time of the topic's next message. After a step back of the clock the times go on after those before it.
+    pub fn next(&mut self, at: Stamp) -> Stamp {
+        let mut steady = Stamp(at.0.saturating_add(self.offset_ns));
+        if let Some(newest) = self.newest.filter(|newest| *newest - steady > STEP_MIN_S) {
+            let step_ns = newest.0.saturating_sub(steady.0).saturating_add(PAUSE_NS);
+            self.offset_ns = self.offset_ns.saturating_add(step_ns);
+            steady = Stamp(steady.0.saturating_add(step_ns));
+        }
+        self.newest = self.newest.max(Some(steady));
+        steady
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_keep_their_order_where_the_clock_is_set_back_and_late_ones_their_times() {
+        let mut time = RecordedTime::default();
+        let mut next = |seconds: f64| time.next(Stamp::from_seconds(seconds)).seconds();
+        let times = [10.0, 10.2, 10.1, 7.0, 7.1, 3.0, 3.5].map(&mut next);
+        let expected = [10.0, 10.2, 10.1, 10.201, 10.301, 10.302, 10.802];
+        assert!(times.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{times:?}");
+    }
+
+    #[test]
+    fn extreme_times_do_not_overflow() {
+        let mut time = RecordedTime::default();
+        for at in [i64::MAX, i64::MIN, 0, i64::MIN, i64::MAX] {
+            time.next(Stamp(at));
+        }
+    }
+}
