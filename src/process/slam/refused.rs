@@ -37,12 +37,6 @@ pub enum RequestRefused {
     /// The robot has no pose in the map.
     #[error("while the robot is relocalizing, the map does not change")]
     Relocalizing,
-    /// The robot has no pose in the map that is to begin anew.
-    #[error(
-        "nobody knows where the robot is in its map, and a map that begins anew would keep that frame; set its pose first \
-         (`mr-slam slam robotN pose X,Y,YAW`; 0,0,0 if no other map depends on the frame)"
-    )]
-    NotLocated,
     /// The closure does not exist or has no effect.
     #[error("closure {number} is not part of the graph; {count} were found")]
     NoClosure {

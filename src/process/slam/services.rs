@@ -129,10 +129,7 @@ impl<P: Ports> Services<P> {
     }
 
     fn reset(&mut self, state: &mut WorkerState) -> RequestResult {
-        let has_map = !state.back.nodes().is_empty();
-        if has_map && !state.back.is_located() {
-            return Err(RequestRefused::NotLocated);
-        }
+        let is_place_known = state.back.nodes().is_empty() || state.back.is_located();
         let mode = match state.back.mode() {
             // After a reset there is no map to localize in.
             SlamMode::Localization => SlamMode::Mapping,
@@ -141,7 +138,12 @@ impl<P: Ports> Services<P> {
         let config = state.back.config().clone();
         let (front, back) = ::slam::create_or_resume(config, None, mode, InitialPose::Unknown);
         state.replace(front, back, true);
-        done("the map begins anew")
+        done(match is_place_known {
+            true => "the map begins anew",
+            false => {
+                "the map begins anew, but nobody knew where the robot was: it may begin at a wrong place in the old frame; set its pose"
+            }
+        })
     }
 
     fn save_map(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
