@@ -11,7 +11,7 @@ const SEARCHED: usize = 4 * IN_ORDER;
 /// Longest pause between two times of a clock that is kept, nanoseconds: one hour.
 const PAUSE_MAX_NS: i64 = 3_600_000_000_000;
 /// Shortest pause between two times of a clock, nanoseconds.
-const PAUSE_MIN_NS: i64 = 1_000_000;
+pub const PAUSE_MIN_NS: i64 = 1_000_000;
 
 /// A message with its times.
 #[derive(Clone, Debug, PartialEq)]

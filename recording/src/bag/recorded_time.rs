@@ -1,13 +1,10 @@
 //! Times at which messages were recorded, where the recorder's clock was set back.
 
-use super::epochs::STEP_MIN_S;
+use super::epochs::{PAUSE_MIN_NS, STEP_MIN_S};
 use msg::Stamp;
 
-/// Time between the messages before and after a step of the recorder's clock, nanoseconds: how long it was is not known.
-const PAUSE_NS: i64 = 1_000_000;
-
-/// Recorder's time of one topic of a file that never goes back by much: messages stand in the order in which they were recorded, give or take
-/// what a recorder's cache delays.
+/// Follows the recorder's time of one topic of a file, and removes steps back of its clock: the messages of a topic stand in the
+/// order in which they were recorded, but for what a recorder's cache delays.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RecordedTime {
     newest: Option<Stamp>,
@@ -19,7 +16,7 @@ impl RecordedTime {
     pub fn next(&mut self, at: Stamp) -> Stamp {
         let mut steady = Stamp(at.0.saturating_add(self.offset_ns));
         if let Some(newest) = self.newest.filter(|newest| *newest - steady > STEP_MIN_S) {
-            let step_ns = newest.0.saturating_sub(steady.0).saturating_add(PAUSE_NS);
+            let step_ns = newest.0.saturating_sub(steady.0).saturating_add(PAUSE_MIN_NS);
             self.offset_ns = self.offset_ns.saturating_add(step_ns);
             steady = Stamp(steady.0.saturating_add(step_ns));
         }
