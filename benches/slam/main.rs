@@ -14,7 +14,8 @@
 //!
 //! `--logs varied` (10 to 20 minutes, mostly a few rows; `varied/csail`: one log): the logs as other robots would have made
 //! them (`varied.rs`), to find where the default configuration generalises badly. `--logs generated [--seeds 0..400[/8]]`: buildings, robots and accidents drawn from
-//! seeds, with known truth (`generated/`); seeds from 10000 on are held back from tuning. `--maps DIR` writes
+//! seeds, with known truth (`generated/`); seeds from 10000 on are held back from tuning. `--logs wrong-sensors [--seeds 0..96]`: the
+//! same logs with sensors that are not as described (`generated/wrong_sensor.rs`), and whether SLAM says so. `--maps DIR` writes
 //! every log's map there, as YAML, PGM and PNG. `--scale links.sigma_min_rad=1.3` multiplies a number of SLAM's configuration, and can
 //! be given more than once (`scripts/slam-sensitivity` does so with all numbers in turn).
 
@@ -122,6 +123,7 @@ fn args() -> Result<Args, String> {
         log == "relocalize"
             || log == "varied"
             || log == "generated"
+            || log == "wrong-sensors"
             || log.starts_with("varied/")
             || ROWS.iter().any(|row| row.name == log)
     };
@@ -172,21 +174,27 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     let varied = vary(&args)?;
-    let generated = match &args.logs {
-        Some(logs) if logs.iter().any(|log| log == "generated") => {
-            generated::run_all(args.seeds.clone(), args.maps.as_deref())?
+    let generate = |name: &str, draw: fn(u64) -> generated::Case| match &args.logs {
+        Some(logs) if logs.iter().any(|log| log == name) => {
+            generated::run_all(args.seeds.clone(), args.maps.as_deref(), draw)
         }
-        _ => Vec::new(),
+        _ => Ok(Vec::new()),
     };
+    let generated = generate("generated", generated::Case::draw)?;
+    let wrong_sensors = generate("wrong-sensors", generated::Case::draw_with_wrong_sensor)?;
     if !done.is_empty() {
         table::print(&done);
     }
     table::relocalized(&relocalization);
     table::varied(&varied);
     generated::print(&generated);
+    if !wrong_sensors.is_empty() {
+        generated::print_wrong_sensors(&wrong_sensors);
+    }
     if let Some(path) = args.json {
         let mut report = table::json(&done, &relocalization, &varied);
         report["generated"] = generated::json(&generated);
+        report["wrong_sensors"] = generated::json(&wrong_sensors);
         std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
     }
     let wrong = |(_, outcome): &(relocalize::Task, relocalize::Outcome)| outcome.wrong > 0;

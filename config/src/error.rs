@@ -60,8 +60,10 @@ pub enum ValueError {
         /// Number of robots.
         robots: usize,
     },
-    /// A start is not finite.
-    #[error("fleet.starts[{index}] is {start:?}; expected [x, y, yaw] in metres and radians, finite")]
+    /// A start is not finite, or has a yaw in degrees.
+    #[error(
+        "fleet.starts[{index}] is {start:?}; expected [x, y, yaw]: finite metres, and radians from -6.29 to 6.29 (90 degrees are 1.57)"
+    )]
     Start {
         /// Place in the list, from 0.
         index: usize,

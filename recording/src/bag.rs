@@ -9,6 +9,7 @@ mod found;
 mod frames;
 mod namespace;
 mod recorded_time;
+mod sources;
 mod times;
 
 pub use error::BagError;
@@ -22,6 +23,7 @@ use msg::{Pose2, Scan, Stamp};
 use namespace::{namespace, of_same_robot};
 use recorded_time::RecordedTime;
 use ros_messages::{LaserScan, Message as _};
+use sources::{changes_of_poses, changes_of_scans};
 use std::collections::HashMap;
 use std::io::Read;
 use std::rc::Rc;
@@ -195,6 +197,12 @@ impl Found {
         let mount = mount(&transforms, (&scan_topic, &scan_frame), base_frame.as_deref(), options)?;
         let odometry = odometry.map(|poses| poses.poses).unwrap_or_default();
         let (scans, odometry, truth) = in_order(&scan_topic, scans, odometry, truth, &mut left_out)?;
+        if let Some(changes) = changes_of_scans(scans.iter().map(|scan| &scan.value.1)) {
+            return Err(BagError::SeveralScanners { scan_topic, scan_frame, changes });
+        }
+        if let Some(changes) = changes_of_poses(&odometry) {
+            return Err(BagError::SeveralRobots { base_frame: base_frame.unwrap_or_default(), changes });
+        }
         let mut bag = Bag { base_from_scan: mount.base_from_scan, ..Bag::default() };
         for Timed { stamp, value: (_, scan), .. } in scans {
             let pose =

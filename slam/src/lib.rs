@@ -29,6 +29,7 @@ mod localizer;
 mod mapper;
 mod node;
 mod odometry;
+mod odometry_agreement;
 mod point_transform;
 mod reliability;
 mod relocalize;
@@ -54,6 +55,7 @@ pub use graph::{Edge, EdgeKind, Graph, PoseVariances, RelativeUncertainty, Syste
 pub use localizer::LocalizerCounts;
 pub use mapper::OccupancyMapper;
 pub use node::{FrameUncertainty, MapFrameUpdate, Node, Rays, SweptPath};
+pub use odometry_agreement::{MotionPair, OdometryAgreement};
 pub use point_transform::PointTransform;
 pub use reliability::ReliabilityEvidence;
 pub use relocalize::{LocalFrameEstimate, RelocalizationCounts};

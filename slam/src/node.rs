@@ -19,7 +19,7 @@ pub struct Node {
     pub header: Header,
     /// Pose in the front end's own frame, which never jumps.
     pub local_from_base: Pose2,
-    /// Pose in the frame of the node before, by odometry; `None` if unknown.
+    /// Pose in the frame of the node before, by odometry; `None` if unknown, as after that node was removed.
     pub previous_from_this: Option<Pose2>,
     /// Whether the scan fitted the local map, or saw nothing that could fit; if not, or if it saw nothing, only odometry connects it with the others.
     pub is_tracked: bool,

@@ -5,6 +5,7 @@
 //! beside it are drawn over those of another place, or the path to it has become longer or shorter than the wheels say.
 
 use crate::cloud::{Cloud, SEE_THROUGH_M};
+use crate::odometry_agreement::OdometryAgreement;
 use crate::point_transform::PointTransform;
 use msg::Pose2;
 use serde::{Deserialize, Serialize};
@@ -223,6 +224,8 @@ pub struct ReliabilityEvidence {
     pub unplaced_share: f32,
     /// Closures that agree with another one and put nodes of the map more than a metre away from where they are: the map contradicts them.
     pub conflicting_closures: u32,
+    /// How the motion in the map compares with odometry's over the whole path.
+    pub odometry_agreement: OdometryAgreement,
 }
 
 impl ReliabilityEvidence {
@@ -245,7 +248,8 @@ impl ReliabilityEvidence {
             ),
             (self.conflicting_closures > 0, "places that were recognised lie elsewhere in the map"),
         ];
-        reasons.into_iter().filter(|(is_strong, _)| *is_strong).map(|(_, reason)| reason)
+        let of_map = reasons.into_iter().filter(|(is_strong, _)| *is_strong).map(|(_, reason)| reason);
+        of_map.chain(self.odometry_agreement.reasons())
     }
 }
 

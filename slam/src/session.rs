@@ -24,7 +24,7 @@ use msg::{SlamMode, pose::wrap_angle};
 use serde::{Deserialize, Serialize};
 
 /// Version of the format of sessions and of records of their logs.
-pub const VERSION: u32 = 13;
+pub const VERSION: u32 = 14;
 /// First bytes of a session file.
 pub const MAGIC: [u8; 8] = *b"MRSLAM\r\n";
 /// Length of the head before the content, bytes.

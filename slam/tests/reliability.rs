@@ -2,8 +2,8 @@
 
 mod common;
 
-use common::{FULL, Lidar, Noise, Robot, Wall, cast, rectangle};
-use msg::{Pose2, SlamMode, TrackingState};
+use common::{FULL, Lidar, Noise, Robot, Wall, cast, laboratory, rectangle};
+use msg::{Pose2, Scan, SlamMode, TrackingState};
 use slam::session::{Session, SessionIdentity};
 use slam::{InitialPose, PlaceInMap, Slam, SlamConfig};
 
@@ -153,4 +153,50 @@ fn many_noisy_beams_do_not_shorten_a_corridor() {
     slam.finish();
     let (error_m, known) = known_error_m(&slam, &said);
     assert!(error_m < 0.1 && known == said.len(), "{error_m} m, {known} scans");
+}
+
+/// Drives around in the laboratory with scans and odometry that are not as described; returns the reasons why the map is unreliable.
+fn reasons_with(
+    change_scan: impl Fn(&mut Scan),
+    change_odometry: impl Fn(Pose2) -> Pose2,
+) -> Vec<&'static str> {
+    let (walls, mut noise) = (laboratory(), Noise::new(8));
+    let mut robot = Robot::new(Pose2::new(0.0, -0.75, 0.0));
+    let mut slam = Slam::new(SlamConfig::default());
+    for _ in 0..320 {
+        robot.drive(0.15, 0.2, 0.1, &mut noise);
+        let mut odometry = robot.odometry();
+        odometry.odom_from_base = change_odometry(odometry.odom_from_base);
+        slam.add_odometry(&odometry);
+        let mut scan = cast(&walls, &FULL, robot.world_from_base, robot.stamp(), &mut noise);
+        change_scan(&mut scan);
+        slam.process(&scan);
+        slam.work();
+    }
+    slam.finish();
+    slam.back().reliability_evidence().reasons().collect()
+}
+
+#[test]
+fn sensors_that_are_not_as_described_are_named() {
+    let same = |odom_from_base: Pose2| odom_from_base;
+    assert_eq!(reasons_with(|_| {}, same), Vec::<&str>::new());
+    let mirror = |scan: &mut Scan| {
+        let beams = scan.len as usize;
+        scan.ranges_m[..beams].reverse();
+    };
+    let turned = |yaw_rad: f32| move |scan: &mut Scan| scan.angle_min_rad += yaw_rad;
+    let longer = |scan: &mut Scan| {
+        scan.range_max_m *= 2.0;
+        let beams = scan.len as usize;
+        scan.ranges_m[..beams].iter_mut().for_each(|range_m| *range_m *= 2.0);
+    };
+    let said = |reasons: Vec<&'static str>, words: &str| {
+        assert!(reasons.iter().any(|reason| reason.contains(words)), "{words}: {reasons:?}");
+    };
+    said(reasons_with(mirror, same), "turn the other way");
+    said(reasons_with(|_| {}, |pose| Pose2::new(pose.x_m, -pose.y_m, -pose.yaw_rad)), "turn the other way");
+    said(reasons_with(turned(0.3), same), "another direction");
+    said(reasons_with(turned(-1.5), same), "another direction");
+    said(reasons_with(longer, same), "another distance");
 }

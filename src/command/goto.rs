@@ -9,6 +9,7 @@ use super::waiting::{WaitError, Waiting};
 use crate::channel::{self, Opener, Program};
 use crate::control::{self, Request};
 use crate::ports::ChannelError;
+use crate::process::YAW_MAX_RAD;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, Reader, Writer, let_readers_look, wait};
 use crate::stop::Stop;
@@ -56,7 +57,9 @@ pub struct GotoArgs {
 
 /// Text that is no goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("expected X,Y or X,Y,YAW in metres and radians, within 100 km of the origin")]
+#[error(
+    "expected X,Y or X,Y,YAW: metres within 100 km of the origin, and radians from -6.29 to 6.29 (90 degrees are 1.57)"
+)]
 pub struct PoseError;
 
 /// Parses a goal from `X,Y` or `X,Y,YAW`.
@@ -66,7 +69,9 @@ fn pose(text: &str) -> Result<NavigationPose, PoseError> {
         text.split(',').map(|number| number.trim().parse().ok().filter(is_near)).collect();
     match numbers.as_deref() {
         Some([x_m, y_m]) => Ok(NavigationPose { x_m: *x_m, y_m: *y_m, yaw_rad: f64::NAN }),
-        Some([x_m, y_m, yaw_rad]) => Ok(NavigationPose { x_m: *x_m, y_m: *y_m, yaw_rad: *yaw_rad }),
+        Some([x_m, y_m, yaw_rad]) if yaw_rad.abs() <= YAW_MAX_RAD => {
+            Ok(NavigationPose { x_m: *x_m, y_m: *y_m, yaw_rad: *yaw_rad })
+        }
         _ => Err(PoseError),
     }
 }

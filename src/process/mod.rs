@@ -70,9 +70,14 @@ pub struct ProcessArgs {
     pub run_dir: PathBuf,
 }
 
+/// Largest yaw that is no number of degrees by mistake, radians: a whole turn, rounded.
+pub const YAW_MAX_RAD: f64 = 6.29;
+
 /// Text that is no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("expected X,Y,YAW in metres and radians, within 100 km of the origin")]
+#[error(
+    "expected X,Y,YAW: metres within 100 km of the origin, and radians from -6.29 to 6.29 (90 degrees are 1.57)"
+)]
 pub struct PoseError;
 
 /// Parses a pose from `X,Y,YAW`: metres, metres, radians.
@@ -81,7 +86,7 @@ pub fn pose(text: &str) -> Result<Pose2, PoseError> {
         text.split(',').map(|number| number.trim().parse::<f64>().ok()).collect::<Option<Vec<f64>>>();
     match numbers.as_deref() {
         Some([x_m, y_m, yaw_rad])
-            if yaw_rad.is_finite() && [x_m, y_m].iter().all(|v| v.abs() <= COORDINATE_MAX_M) =>
+            if yaw_rad.abs() <= YAW_MAX_RAD && [x_m, y_m].iter().all(|v| v.abs() <= COORDINATE_MAX_M) =>
         {
             Ok(Pose2::new(*x_m, *y_m, *yaw_rad))
         }

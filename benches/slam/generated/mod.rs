@@ -8,19 +8,26 @@ mod picture;
 mod robot;
 mod run;
 mod walls;
+mod wrong_sensor;
 
 use crate::seeds::{HELD_BACK, Seeds};
-use run::{Case, METRE_SCALE_M, Outcome, median, run};
+pub use run::Case;
+use run::{METRE_SCALE_M, Outcome, median, run};
 use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
+use wrong_sensor::WrongSensor;
 
 /// Number of the worst runs that are named and drawn.
 const WORST: usize = 10;
 
 /// Runs all seeds on as many threads as there are cores; draws the worst maps if there is a folder for them.
-pub fn run_all(Seeds { range: seeds, step }: Seeds, maps: Option<&Path>) -> Result<Vec<Outcome>, String> {
+pub fn run_all(
+    Seeds { range: seeds, step }: Seeds,
+    maps: Option<&Path>,
+    draw: fn(u64) -> Case,
+) -> Result<Vec<Outcome>, String> {
     let next = AtomicU64::new(seeds.start);
     let outcomes = Mutex::new(Vec::new());
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -32,7 +39,7 @@ pub fn run_all(Seeds { range: seeds, step }: Seeds, maps: Option<&Path>) -> Resu
                     if seed >= seeds.end {
                         return;
                     }
-                    let outcome = run(&Case::draw(seed), None);
+                    let outcome = run(&draw(seed), None);
                     let mut outcomes = outcomes.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
                     outcomes.push(outcome);
                     eprint!("\r{} of {}", outcomes.len(), (seeds.end - seeds.start).div_ceil(step));
@@ -46,7 +53,7 @@ pub fn run_all(Seeds { range: seeds, step }: Seeds, maps: Option<&Path>) -> Resu
     outcomes.sort_by_key(|outcome| outcome.seed);
     for outcome in worst(&outcomes) {
         if let Some(folder) = maps {
-            run(&Case::draw(outcome.seed), Some(&folder.join(format!("generated-{}", outcome.seed))))?;
+            run(&draw(outcome.seed), Some(&folder.join(format!("generated-{}", outcome.seed))))?;
         }
     }
     Ok(outcomes)
@@ -108,6 +115,38 @@ pub fn print(outcomes: &[Outcome]) {
         row(&format!("event: {name}"), &|outcome| outcome.event == name);
     }
     print_worst(outcomes);
+}
+
+/// Prints how many runs with wrong sensors say so.
+pub fn print_wrong_sensors(outcomes: &[Outcome]) {
+    println!(
+        "{:<28} {:>5} {:>10} {:>10} {:>8}",
+        "wrong sensors, with odometry", "runs", "say what", "unreliable", "neither"
+    );
+    for name in WrongSensor::names() {
+        let group: Vec<&Outcome> =
+            outcomes.iter().filter(|o| o.wrong_sensor == name && o.odometry != "None").collect();
+        let count = |of: fn(&Outcome) -> bool| group.iter().filter(|outcome| of(outcome)).count();
+        println!(
+            "{name:<28} {:>5} {:>10} {:>10} {:>8}",
+            group.len(),
+            count(|o| o.says_wrong_sensor),
+            count(|o| o.is_unreliable),
+            count(|o| !o.says_wrong_sensor && !o.is_unreliable)
+        );
+    }
+    for outcome in outcomes.iter().filter(|o| o.odometry != "None" && !o.says_wrong_sensor) {
+        println!(
+            "seed {}: {}, {}, {}, odometry {}: {:?}, placed {:.0} %",
+            outcome.seed,
+            outcome.wrong_sensor,
+            outcome.building,
+            outcome.sensor,
+            outcome.odometry,
+            outcome.evidence.odometry_agreement,
+            100.0 * outcome.placed_share
+        );
+    }
 }
 
 fn print_worst(outcomes: &[Outcome]) {

@@ -2,8 +2,9 @@
 
 use super::building::{Building, Kind};
 use super::picture;
-use super::robot::{Event, OdometryKind, Robot, SENSORS, Sensor, Step, angles_rad, drive};
+use super::robot::{Event, OdometryKind, Robot, SENSORS, Step, angles_rad, drive};
 use super::walls::share_in_map;
+use super::wrong_sensor::WrongSensor;
 use crate::noise::Noise;
 use crate::settings::slam_config;
 use msg::pose::best_rigid_transform;
@@ -34,6 +35,8 @@ pub struct Case {
     pub kind: Kind,
     /// The robot.
     pub robot: Robot,
+    /// What is wrong about its sensors.
+    pub wrong_sensor: WrongSensor,
 }
 
 impl Case {
@@ -51,7 +54,13 @@ impl Case {
         let thinned_m = if noise.uniform() < 0.5 { noise.between(0.5, 1.0) } else { 0.0 };
         let people = if noise.uniform() < 0.3 { 1 + noise.below(4) } else { 0 };
         let dropout = if noise.uniform() < 0.3 { noise.between(0.0, 0.1) } else { 0.0 };
-        Self { seed, kind, robot: Robot { sensor, odometry, event, thinned_m, people, dropout } }
+        let robot = Robot { sensor, odometry, event, thinned_m, people, dropout };
+        Self { seed, kind, robot, wrong_sensor: WrongSensor::Nothing }
+    }
+
+    /// Draws the case of a seed with sensors that are not as described.
+    pub fn draw_with_wrong_sensor(seed: u64) -> Self {
+        Self { wrong_sensor: WrongSensor::draw(seed), ..Self::draw(seed) }
     }
 }
 
@@ -69,6 +78,8 @@ pub struct Outcome {
     pub odometry: String,
     /// What happened on the way.
     pub event: String,
+    /// What is wrong about the sensors.
+    pub wrong_sensor: String,
     /// Distance between scans, metres; 0: ten a second.
     pub thinned_m: f64,
     /// Length of the way, metres.
@@ -91,6 +102,8 @@ pub struct Outcome {
     pub evidence: ReliabilityEvidence,
     /// Whether SLAM calls its map unreliable.
     pub is_unreliable: bool,
+    /// Whether it says that the scans and odometry contradict each other all the time.
+    pub says_wrong_sensor: bool,
     /// Number of active closures: right, wrong.
     pub closures: [usize; 2],
     /// Number of retracted closures: right, wrong.
@@ -139,12 +152,13 @@ pub fn run(case: &Case, map: Option<&Path>) -> Result<Outcome, String> {
         sensor: case.robot.sensor.name.into(),
         odometry: format!("{:?}", case.robot.odometry),
         event: format!("{:?}", case.robot.event),
+        wrong_sensor: case.wrong_sensor.name().into(),
         thinned_m: case.robot.thinned_m,
         way_m: steps.windows(2).map(|pair| pair[0].truth.distance_m(pair[1].truth)).sum(),
         scans: steps.len(),
         ..Outcome::default()
     };
-    outcome.feed(&mut front, &mut back, &steps, case.robot.sensor);
+    outcome.feed(&mut front, &mut back, &steps, case);
     let scored = outcome.score(&front, &back, &steps);
     outcome.walls_share = share_in_map(back.map(), &steps, case.robot.sensor, scored.world_from_map);
     if let Some(stem) = map {
@@ -177,24 +191,19 @@ pub struct Scored {
 }
 
 impl Outcome {
-    fn feed(&mut self, front: &mut FrontEnd, back: &mut BackEnd, steps: &[Step], sensor: Sensor) {
+    fn feed(&mut self, front: &mut FrontEnd, back: &mut BackEnd, steps: &[Step], case: &Case) {
         let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
-        let [first, increment] = angles_rad(sensor);
-        (scan.angle_min_rad, scan.angle_increment_rad) = (first as f32, increment as f32);
-        (scan.range_min_m, scan.range_max_m) = (RANGE_MIN_M, sensor.range_m as f32);
         let mut nees = Vec::new();
         for (index, step) in steps.iter().enumerate() {
             let header =
                 Header { stamp: Stamp::from_seconds(step.stamp_s), seq: index as u64, ..Header::default() };
-            if let Some(odom_from_base) = step.odometry {
+            if let Some(odom_from_base) = step.odometry.map(|pose| case.wrong_sensor.change_odometry(pose)) {
                 front.add_odometry(&Odometry { header, odom_from_base, ..Odometry::default() });
                 if front.take_unknown_motion() {
                     back.start_relocalization(None);
                 }
             }
-            scan.header = header;
-            scan.len = step.ranges_m.len() as u32;
-            scan.ranges_m[..step.ranges_m.len()].copy_from_slice(&step.ranges_m);
+            fill_scan(&mut scan, header, step, case);
             let result = front.process(&scan);
             if let Some(node) = result.node {
                 front.add_frame_update(back.add_node(node));
@@ -211,6 +220,7 @@ impl Outcome {
         back.finish();
         (self.evidence, self.is_unreliable) =
             (back.reliability_evidence(), back.reliability_evidence().is_unreliable());
+        self.says_wrong_sensor = self.evidence.odometry_agreement.reasons().next().is_some();
         self.nees = median(nees);
     }
 
@@ -286,6 +296,18 @@ impl Outcome {
         self.edge_nees = nees.map(median);
         active
     }
+}
+
+/// Writes what the LiDAR of a case sends at a step.
+fn fill_scan(scan: &mut Scan, header: Header, step: &Step, case: &Case) {
+    let sensor = case.robot.sensor;
+    let [first, increment] = angles_rad(sensor);
+    scan.header = header;
+    (scan.angle_min_rad, scan.angle_increment_rad) = (first as f32, increment as f32);
+    (scan.range_min_m, scan.range_max_m) = (RANGE_MIN_M, sensor.range_m as f32);
+    scan.len = step.ranges_m.len() as u32;
+    scan.ranges_m[..step.ranges_m.len()].copy_from_slice(&step.ranges_m);
+    case.wrong_sensor.change_scan(scan);
 }
 
 /// Returns the median, if there is a value.

@@ -43,6 +43,28 @@ pub enum BagError {
     /// Several topics have scans.
     #[error("the bag has scans on {}; name one with --scan-topic", list(.0))]
     SeveralScans(Vec<String>),
+    /// Two scanners sent scans under one name.
+    #[error(
+        "the scans on {scan_topic} with the frame `{scan_frame}` are of two scanners in turns ({changes} changes): expected those of          one robot; record each robot's scans on a topic of its own"
+    )]
+    SeveralScanners {
+        /// Topic of the scans.
+        scan_topic: String,
+        /// Their frame.
+        scan_frame: String,
+        /// How often the scans change from one to the other.
+        changes: usize,
+    },
+    /// Two robots sent odometry under one name.
+    #[error(
+        "the odometry of `{base_frame}` jumps to another place and back {changes} times: it is of two robots in turns; expected one          robot's; name its own topic with --odom-topic or its own frame with --odom-frame, or record each robot with frames of its own"
+    )]
+    SeveralRobots {
+        /// Frame of the base.
+        base_frame: String,
+        /// How often the poses change from one to the other.
+        changes: usize,
+    },
     /// There is no odometry.
     #[error(
         "the bag has no odometry for {scan_topic}: expected one nav_msgs/Odometry of the same robot, or a transform from one frame \

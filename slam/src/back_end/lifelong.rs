@@ -142,6 +142,7 @@ impl BackEnd {
             is_kept.then_some(Edge { a: number(e.a)?, b: number(e.b)?, ..e })
         });
         self.graph.replace_parts(kept_poses.collect(), kept_edges.collect());
+        self.forget_odometry_after(&gone);
         let mut id = 0;
         self.nodes.retain(|_| (keep(id), id += 1).0);
         for (id, node) in self.nodes.iter_mut().enumerate() {
@@ -159,6 +160,16 @@ impl BackEnd {
         self.node_ids.earlier.clear();
         // The map is another one now: drawn anew, all at once, so that nobody sees half of it.
         self.mapper.restore(&self.nodes, self.graph.poses());
+    }
+
+    /// Forgets odometry's motion to each node whose predecessor goes: it is one from that predecessor, and says nothing of the node that
+    /// will be before it.
+    fn forget_odometry_after(&mut self, gone: &[u32]) {
+        for id in gone {
+            if let Some(node) = self.nodes.get_mut(*id as usize + 1) {
+                node.previous_from_this = None;
+            }
+        }
     }
 }
 
@@ -208,5 +219,26 @@ fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
             },
             response: 0.0,
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::back_end::testing::straight_path;
+    use msg::Pose2;
+
+    #[test]
+    fn odometry_says_nothing_of_two_nodes_between_which_one_was_removed() {
+        let mut back = straight_path(8, 0.3);
+        back.nodes.iter_mut().skip(1).for_each(|node| {
+            node.previous_from_this = Some(Pose2::new(0.3, 0.0, 0.0));
+        });
+        back.lifelong.contradicted = vec![0; 8];
+        back.node_ids.front_ids = (0..8).collect();
+        back.lifelong.marked = vec![2, 3, 6];
+        back.remove_marked();
+        let measured: Vec<bool> = back.nodes.iter().map(|node| node.previous_from_this.is_some()).collect();
+        // Of the nodes 0, 1, 4, 5 and 7.
+        assert_eq!(measured, [false, true, false, true, false]);
     }
 }

@@ -3,11 +3,13 @@
 
 use super::BackEnd;
 use crate::node::Node;
+use crate::odometry_agreement::{MotionPair, OdometryAgreement};
 use crate::reliability::{
     NodeComparison, OdometryStep, ReliabilityEvidence, SuspectedBreak, WallAgreement, contradicted_share,
     odometry_residual_sigmas, suspected_break,
 };
 use crate::stages::Stage;
+use msg::Pose2;
 use serde::{Deserialize, Serialize};
 
 /// Older nodes that a node is compared with.
@@ -105,6 +107,7 @@ impl BackEnd {
             position_sigma_m: self.largest_position_sigma_m(),
             unplaced_share: unplaced as f32 / self.nodes.len().max(1) as f32,
             conflicting_closures: self.count_conflicting_closures(),
+            odometry_agreement: OdometryAgreement::new(&self.motions()),
         };
     }
 
@@ -172,15 +175,37 @@ impl BackEnd {
     fn odometry_steps(&self) -> Vec<Option<OdometryStep>> {
         let poses = self.graph.poses();
         let step = |pair: &[Node]| {
-            let [before, node] = pair else { return None };
-            let is_in_map = before.is_placed() && node.is_placed();
-            let by_odometry = node.previous_from_this.filter(|_| is_in_map && !node.odometry_break)?;
-            let [a, b] = [before.id, node.id].map(|id| poses[id as usize]);
+            let is_in_map = pair.iter().all(Node::is_placed) && !pair[1].odometry_break;
+            let MotionPair { by_odometry, .. } = self.motion(pair).filter(|_| is_in_map)?;
+            let [a, b] = [pair[0].id, pair[1].id].map(|id| poses[id as usize]);
             let there = a * by_odometry;
             let length_m = by_odometry.x_m.hypot(by_odometry.y_m);
             let [sigma_m, _] = self.configured_odometry_sigmas(by_odometry);
             Some(OdometryStep { error_m: [there.x_m - b.x_m, there.y_m - b.y_m], length_m, sigma_m })
         };
         self.nodes.windows(2).map(step).collect()
+    }
+
+    /// All motions between consecutive nodes of the map that odometry measured and that scans matched, with what odometry measured too
+    /// much; those too after which the robot was found elsewhere.
+    fn motions(&self) -> Vec<MotionPair> {
+        let is_matched = |pair: &&[Node]| {
+            let is_found = |node: &Node| node.is_tracked || node.odometry_break;
+            pair.iter().all(is_found) && pair.iter().all(Node::is_placed)
+        };
+        let motion = |pair: &[Node]| {
+            let MotionPair { by_odometry, in_map } = self.motion(pair)?;
+            let [x_m, y_m, yaw_rad] = pair[1].slip;
+            Some(MotionPair { by_odometry: by_odometry * Pose2::new(x_m, y_m, yaw_rad), in_map })
+        };
+        self.nodes.windows(2).filter(is_matched).filter_map(motion).collect()
+    }
+
+    /// The motion between two consecutive nodes; `None` if odometry did not measure it.
+    fn motion(&self, pair: &[Node]) -> Option<MotionPair> {
+        let [before, node] = pair else { return None };
+        let by_odometry = node.previous_from_this?;
+        let [a, b] = [before.id, node.id].map(|id| self.graph.poses()[id as usize]);
+        Some(MotionPair { by_odometry, in_map: a.between(b) })
     }
 }

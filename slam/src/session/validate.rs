@@ -9,6 +9,7 @@ use crate::closure::ClosureCandidate;
 use crate::front_end::FrontEndState;
 use crate::graph::{Edge, EdgeKind, PoseVariances};
 use crate::node::{Node, Rays, SweptPath};
+use crate::odometry_agreement::OdometryAgreement;
 use crate::reliability::{NodeComparison, ReliabilityEvidence, WallAgreement};
 use crate::relocalize::LocalFrameEstimate;
 use core::f64::consts::PI;
@@ -51,6 +52,8 @@ const COMPARED_POINTS_MAX: u32 = 10_000_000;
 const UNMEASURED_S_MAX: f32 = 1e9;
 /// Largest difference of a map from odometry, standard deviations: any coordinate over any of them.
 const RESIDUAL_SIGMAS_MAX: f64 = 1e12;
+/// Largest ratio between map and odometry: any coordinate over the shortest motion that counts.
+const ODOMETRY_RATIO_MAX: f64 = 1e12;
 /// Longest interval between two scans, seconds.
 const INTERVAL_S_MAX: f64 = 1e9;
 /// Largest counter: half of what it can hold, so that it can go on counting.
@@ -242,7 +245,12 @@ fn check_reliability(monitor: &ReliabilityMonitor, nodes: usize) -> Result {
         position_sigma_m,
         unplaced_share,
         conflicting_closures,
+        odometry_agreement,
     } = monitor.current;
+    let OdometryAgreement { turn_ratio, distance_ratio, direction_rad } = odometry_agreement;
+    let ratios = [turn_ratio, distance_ratio, direction_rad];
+    let is_valid = ratios.iter().flatten().all(|ratio| ratio.abs() <= ODOMETRY_RATIO_MAX);
+    check(is_valid, "motion compared with odometry's")?;
     check((0.0..=1.0).contains(&contradicted_share), "share of contradicted points")?;
     check((0.0..=1.0).contains(&unplaced_share), "share of nodes that are not placed")?;
     check((0.0..=RESIDUAL_SIGMAS_MAX).contains(&odometry_residual_sigmas), "difference from odometry")?;

@@ -189,9 +189,17 @@ fn note_left_out(path: &Path, bag: &Bag) {
     if let Some(why) = &bag.broken {
         output::note(&format!("{path}: {why}; used up to there"));
     }
-    let LeftOut { malformed: _, too_many_beams, without_odometry, other_frames, stray_stamps, clock_steps } =
+    let LeftOut { malformed, too_many_beams, without_odometry, other_frames, stray_stamps, clock_steps } =
         bag.left_out;
+    let has_no_beam_times = |scan: &&BagScan| scan.time_increment_s == 0.0 && scan.scan_time_s > 0.0;
+    let without_beam_times = bag.scans.iter().filter(has_no_beam_times).count() as u64;
     let reasons = [
+        (malformed, "messages cannot be decoded or are no measurement, and are left out"),
+        (
+            without_beam_times,
+            "scans have time_increment 0 and are taken as measured at one moment; of a LiDAR that turns meanwhile the walls bend while the \
+             robot turns",
+        ),
         (without_odometry, "scans have no odometry within 0.5 s and are left out; do both have one clock?"),
         (too_many_beams, "scans have more than 4096 beams, which is the limit, and are left out"),
         (other_frames, "scans are of another scanner (frame_id) than most on this topic and are left out"),
