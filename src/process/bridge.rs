@@ -28,6 +28,7 @@ use msg::{
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
+use tokio::sync::Notify;
 
 /// Longest time until the bridge's state is saved after it has changed.
 const UPKEEP_PERIOD: Duration = Duration::from_millis(100);
@@ -46,6 +47,8 @@ pub struct BridgeProcess<P: Ports, W: FileWorker> {
     pub feeds: Vec<Feed<P::Listener>>,
     /// What is due with time.
     pub periodic_tasks: PeriodicTasks<P, W>,
+    /// Notified when an operator did what is to be saved at once, as an emergency stop: the periodic tasks save it.
+    pub operator_acted: Rc<Notify>,
 }
 
 impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
@@ -58,7 +61,8 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
         start_files: impl FnOnce(ControlFiles<S>) -> std::io::Result<W>,
     ) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Bridge, None)?;
-        let (bridge, requester) = open_bridge(ports, run)?;
+        let operator_acted = Rc::new(Notify::new());
+        let (bridge, requester) = open_bridge(ports, run, operator_acted.clone())?;
         // Every robot gets a zero before anything else: what moved it before is not known.
         let now = ports.clock().now();
         bridge.tick(now);
@@ -100,7 +104,7 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
         let (clock, bridge_of_tasks) = (ports.clock(), bridge.clone());
         let periodic_tasks =
             PeriodicTasks { bridge: bridge_of_tasks, control, goals, exploration, zones, heartbeat, clock };
-        Ok(Self { bridge, feeds, periodic_tasks })
+        Ok(Self { bridge, feeds, periodic_tasks, operator_acted })
     }
 }
 
@@ -198,7 +202,11 @@ fn timely_velocities<P: Ports>(
 /// Creates the bridge, which writes the channels of velocities, of commands for merging and of requests to SLAM.
 ///
 /// Returns the number, too, that responses to its requests carry.
-fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<(Rc<Bridge>, u64), Error> {
+fn open_bridge<P: Ports + 'static>(
+    ports: &P,
+    run: &Run,
+    operator_acted: Rc<Notify>,
+) -> Result<(Rc<Bridge>, u64), Error> {
     let writers = run.robots().map(|robot| ports.writer(&channel::command(robot)));
     let mut writers = writers.collect::<Result<Vec<P::Writer<VelocityCommand>>, _>>()?;
     let send = move |robot: RobotId, command: VelocityCommand| {
@@ -218,7 +226,10 @@ fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<(Rc<Bridge>, 
     let mut edge_commands = ports.writer(&channel::edge_command())?;
     bridge.on_edge_command(move |command| edge_commands.send(&command));
     let mut operator_events = ports.writer(&channel::operator_event())?;
-    bridge.on_operator_event(move |event| operator_events.send(&event));
+    bridge.on_operator_event(move |event| {
+        operator_events.send(&event);
+        operator_acted.notify_one();
+    });
     let mut requester = SlamRequester::open(ports, run, REQUESTER_KIND)?;
     let client = requester.client;
     bridge.on_slam_request(move |robot, request| requester.send(robot, request));

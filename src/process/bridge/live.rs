@@ -17,8 +17,10 @@ use crate::storage::DiskStorage;
 use ::bridge::{PageListeners, serve_clients};
 use msg::Role;
 use std::os::fd::AsFd;
+use std::rc::Rc;
 use std::time::Duration;
 use tokio::net::TcpListener;
+use tokio::sync::Notify;
 use tokio::task::{JoinHandle, spawn_local};
 
 /// Period at which the process checks whether it is to stop.
@@ -39,7 +41,7 @@ async fn serve(
     stop: &Stop,
     listeners: PageListeners,
 ) -> Result<(), Error> {
-    let BridgeProcess { bridge, feeds, periodic_tasks } =
+    let BridgeProcess { bridge, feeds, periodic_tasks, operator_acted } =
         BridgeProcess::open(participant, run, DiskStorage, FileThread::start)?;
     let mut tasks = start_feeds(feeds)?;
     let is_in_ros = run.config.bridge.dds.enabled;
@@ -52,7 +54,7 @@ async fn serve(
         tasks.push(spawn_local(page));
     }
     tasks.push(spawn_local(control::serve(control::listen(run)?, periodic_tasks.control.clone())));
-    tasks.push(spawn_local(run_periodic_tasks(periodic_tasks)));
+    tasks.push(spawn_local(run_periodic_tasks(periodic_tasks, operator_acted)));
     let progress = run.progress(Role::Bridge, None, WatchedThread::Main);
     serve_clients(bridge, inherited_listener()?, now, stop_requested(stop.clone(), progress)).await;
     if let Some(endpoint) = endpoint {
@@ -90,10 +92,17 @@ pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
     }
 }
 
-/// Runs the periodic tasks whenever they are due. It is a task of its own, so that robots stop in time whatever clients do.
-async fn run_periodic_tasks<P: Ports, W: FileWorker>(mut periodic_tasks: PeriodicTasks<P, W>) {
+/// Runs the periodic tasks whenever they are due, and at once when an operator acted: an emergency stop is saved before the process
+/// can die. It is a task of its own, so that robots stop in time whatever clients do.
+async fn run_periodic_tasks<P: Ports, W: FileWorker>(
+    mut periodic_tasks: PeriodicTasks<P, W>,
+    operator_acted: Rc<Notify>,
+) {
     loop {
         let due = periodic_tasks.step();
-        event_loop::sleep_until(due).await;
+        tokio::select! {
+            () = event_loop::sleep_until(due) => {}
+            () = operator_acted.notified() => {}
+        }
     }
 }
