@@ -148,7 +148,7 @@ pub struct ProcessView {
     pub process: String,
     /// Process id of the operating system.
     pub pid: u32,
-    /// `up`, or `silent` if no heartbeat came for 2.5 s.
+    /// `up`, `silent` if no heartbeat came for 2.5 s, or `ended` if its process is no more.
     pub state: &'static str,
     /// Number of restarts.
     pub restarts: u64,
@@ -186,6 +186,14 @@ impl FleetView {
             for robot in &mut self.robots {
                 (robot.map_transform_error_m, robot.map_transform_error_deg) = (None, None);
             }
+        }
+        self
+    }
+
+    /// Marks the processes that are no more; `is_alive` tells it of a process id on this machine.
+    pub fn with_ended_processes(mut self, is_alive: impl Fn(u32) -> bool) -> Self {
+        for process in self.processes.iter_mut().filter(|process| !is_alive(process.pid)) {
+            process.state = "ended";
         }
         self
     }

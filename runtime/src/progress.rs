@@ -149,6 +149,11 @@ pub fn sample(process: u32, thread: u32) -> ThreadSample {
     parse_stat(&stat).unwrap_or(gone)
 }
 
+/// Returns whether a process of this machine runs or can run on.
+pub fn is_alive(process: u32) -> bool {
+    sample(process, process).state != ThreadState::Gone
+}
+
 /// Parses the content of `/proc/PID/task/TID/stat`: see proc_pid_stat(5).
 fn parse_stat(stat: &str) -> Option<ThreadSample> {
     // The name in parentheses may hold anything.

@@ -117,7 +117,8 @@ impl FleetView {
             alarms.push(format!("{robot}'s given start contradicts the maps: its place comes from the maps"));
         }
         for process in self.processes.iter().filter(|process| process.state != "up") {
-            alarms.push(format!("{} does not answer", process.process));
+            let what = if process.state == "ended" { "has ended" } else { "does not answer" };
+            alarms.push(format!("{} {what}", process.process));
         }
         alarms
     }
@@ -239,7 +240,7 @@ impl DistributionView {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use msg::{FleetStats, TrackingState};
+    use msg::{FleetStats, Role, TrackingState};
 
     /// A fleet in which everything is wrong, with many clients.
     fn fleet() -> FleetView {
@@ -284,6 +285,19 @@ mod tests {
             }
             assert!(text.contains("robot3"), "{width}: {text}");
         }
+    }
+
+    #[test]
+    fn a_process_that_is_no_more_has_ended_and_is_not_up_or_silent() {
+        let mut stats: Box<FleetStats> = bytemuck::allocation::zeroed_box();
+        for (number, process) in stats.processes[..3].iter_mut().enumerate() {
+            (process.health.role, process.health.pid) = (Role::Merge as u32, 100 + number as u32);
+            process.age_s = [0.1, 9.0, 0.1][number];
+        }
+        let fleet = FleetView::new(&stats).with_ended_processes(|pid| pid != 102);
+        let states: Vec<&str> = fleet.processes.iter().map(|process| process.state).collect();
+        assert_eq!(states, ["up", "silent", "ended"]);
+        assert!(fleet.live_table(&Style::PLAIN).contains("! merge has ended"));
     }
 
     #[test]
