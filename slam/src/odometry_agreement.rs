@@ -28,9 +28,9 @@ const DIRECTION_MAX_RAD: f64 = 0.15;
 /// One motion between two nodes, by odometry and in the map, each in the frame of the first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionPair {
-    /// By odometry.
+    /// The motion by odometry.
     pub by_odometry: Pose2,
-    /// In the map.
+    /// The motion in the map.
     pub in_map: Pose2,
 }
 

@@ -45,19 +45,21 @@ pub enum BagError {
     SeveralScans(Vec<String>),
     /// Two scanners sent scans under one name.
     #[error(
-        "the scans on {scan_topic} with the frame `{scan_frame}` are of two scanners in turns ({changes} changes): expected those of          one robot; record each robot's scans on a topic of its own"
+        "the scans on {scan_topic} with the frame `{scan_frame}` are of two scanners in turns ({changes} changes): expected those of \
+         one robot; record each robot's scans on a topic of its own"
     )]
     SeveralScanners {
         /// Topic of the scans.
         scan_topic: String,
-        /// Their frame.
+        /// Frame of these scans.
         scan_frame: String,
         /// How often the scans change from one to the other.
         changes: usize,
     },
     /// Two robots sent odometry under one name.
     #[error(
-        "the odometry of `{base_frame}` jumps to another place and back {changes} times: it is of two robots in turns; expected one          robot's; name its own topic with --odom-topic or its own frame with --odom-frame, or record each robot with frames of its own"
+        "the odometry of `{base_frame}` jumps to another place and back {changes} times: it is of two robots in turns; expected one \
+         robot's; name its own topic with --odom-topic or its own frame with --odom-frame, or record each robot with frames of its own"
     )]
     SeveralRobots {
         /// Frame of the base.
