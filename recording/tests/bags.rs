@@ -137,6 +137,35 @@ fn scans_of_the_frame_that_has_most_are_used_and_the_others_counted() {
 }
 
 #[test]
+fn two_robots_under_one_name_are_refused_and_not_mixed() {
+    // Odometry of another robot, 3 m away, between that of the first.
+    let mut messages = robot(mounted([0.0, 0.0, 0.0, 1.0], 0.1));
+    for step in 0..40 {
+        let at = step * SECOND / 20 + SECOND / 50;
+        messages.push(("/odom", RosOdometry::TYPE, at, payload(&odometry(at, 3.0, 0.0))));
+    }
+    messages.sort_by_key(|(_, _, at, _)| *at);
+    let error = read_messages(&messages, &BagOptions::default()).unwrap_err();
+    assert!(matches!(error, BagError::SeveralRobots { .. }), "{error}");
+    assert!(error.to_string().contains("`base_footprint`") && error.to_string().contains("--odom-topic"));
+    // Without odometry its scans are those of one robot.
+    let without = BagOptions { without_odometry: true, ..BagOptions::default() };
+    assert_eq!(read_messages(&messages, &without).unwrap().scans.len(), 20);
+
+    // Scans of another room between those of the first.
+    let mut messages = robot(mounted([0.0, 0.0, 0.0, 1.0], 0.1));
+    for step in 0..20 {
+        let at = step * SECOND / 10 + SECOND / 20;
+        let elsewhere = scan(at).ranges.iter().map(|range_m| range_m + 1.5).collect();
+        messages.push(("/scan", LaserScan::TYPE, at, payload(&LaserScan { ranges: elsewhere, ..scan(at) })));
+    }
+    messages.sort_by_key(|(_, _, at, _)| *at);
+    let error = read_messages(&messages, &BagOptions::default()).unwrap_err();
+    assert!(matches!(error, BagError::SeveralScanners { .. }), "{error}");
+    assert!(error.to_string().contains("/scan") && error.to_string().contains("`base_scan`"), "{error}");
+}
+
+#[test]
 fn the_recorded_mount_stands_in_for_a_transform_and_for_no_other_mount() {
     let mut messages = robot(mounted([0.0, 0.0, 0.0, 1.0], 0.1));
     let options =
