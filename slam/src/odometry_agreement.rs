@@ -41,8 +41,8 @@ pub struct OdometryAgreement {
     pub turn_ratio: Option<f64>,
     /// Distance in the map for each metre of odometry, the median over all motions; 1 is right.
     pub distance_ratio: Option<f64>,
-    /// Direction of the motion in the map, from odometry's, the mean over all motions, radians: minus the error of the yaw of the
-    /// LiDAR's mount; 0 is right.
+    /// Direction of the motion in the map, from odometry's, the mean over all motions, radians: how much the yaw of the LiDAR's mount is
+    /// given too large; 0 is right.
     pub direction_rad: Option<f64>,
 }
 

@@ -152,11 +152,14 @@ pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
         reason: report.reason().to_owned(),
         seconds: begun.elapsed().as_secs_f64(),
     };
-    output::print_either(args.json, &answer, || {
-        format!("{}: {} after {:.1} s\n", answer.robot, answer.state, answer.seconds)
-    })?;
     let is_on_its_way = !state.is_final() && state != NavigationStatus::Paused;
     let is_wanted = args.cancel || state == NavigationStatus::Reached || (args.no_wait && is_on_its_way);
+    output::print_either(args.json, &answer, || {
+        // An error says the reason itself.
+        let says_why = is_wanted && !args.cancel && !answer.reason.is_empty();
+        let why = if says_why { format!(" ({})", answer.reason) } else { String::new() };
+        format!("{}: {} after {:.1} s{why}\n", answer.robot, answer.state, answer.seconds)
+    })?;
     let reason = answer.reason;
     if is_wanted {
         Ok(())
@@ -279,7 +282,7 @@ mod tests {
         let goal = pose("1.5, -2").unwrap();
         assert!(goal.x_m == 1.5 && goal.y_m == -2.0 && goal.yaw_rad.is_nan());
         assert_eq!(pose("0,0,1.57").unwrap().yaw_rad, 1.57);
-        for text in ["", "1", "1,2,3,4", "1,x", "inf,0"] {
+        for text in ["", "1", "1,2,3,4", "1,x", "inf,0", "1,2,90"] {
             assert_eq!(pose(text), Err(PoseError), "{text}");
         }
     }

@@ -272,6 +272,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
                 refusal: channels.refusal,
                 pause_reason: channels.pause_reason,
                 in_merged_map: self.inputs.is_merged(channels.robot),
+                is_exploring: self.exploration.includes(channels.robot),
             };
             channels.outputs.publish(stamp, now, &decision);
         }

@@ -100,7 +100,10 @@ impl FleetView {
                 alarms.push(format!("{} is lost: it looks for its place in the map", robot.robot));
             }
             if robot.is_unreliable() {
-                alarms.push(format!("{}'s map may be wrong: scans or odometry contradict it", robot.robot));
+                alarms.push(format!(
+                    "{}'s map may be wrong: scans or odometry contradict it, the log says how",
+                    robot.robot
+                ));
             }
             if robot.has_stale_scans() {
                 alarms.push(format!("{}: no scan for a second or more", robot.robot));

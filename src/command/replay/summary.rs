@@ -5,8 +5,8 @@ use msg::{Pose2, Stamp};
 use recording::bag::LeftOut;
 use serde::Serialize;
 use slam::{
-    BackEnd, ClosureSearchCounts, FrontEnd, PlaceInMap, ReliabilityEvidence, RelocalizationCounts,
-    TrajectoryError,
+    BackEnd, ClosureSearchCounts, FrontEnd, OdometryAgreement, PlaceInMap, ReliabilityEvidence,
+    RelocalizationCounts, TrajectoryError,
 };
 use std::time::Duration;
 
@@ -127,6 +127,9 @@ impl Summary {
         for reason in &s.unreliable_reasons {
             text += &format!("  unreliable {reason}: the map may be wrong by metres\n");
         }
+        if s.evidence.odometry_agreement.reasons().next().is_some() {
+            text += &agreement_text(&s.evidence.odometry_agreement);
+        }
         if let (Some(width), Some(height), Some(ms)) = (s.map_width, s.map_height, s.map_ms) {
             text += &format!("  map       {width} x {height} cells, rendered in {ms:.1} ms\n");
         }
@@ -172,6 +175,20 @@ impl Summary {
         self.closure_searches = done.searches;
         self.relocalization = done.relocalization;
     }
+}
+
+/// Returns the line that says how the motion in the map compares with odometry's.
+fn agreement_text(agreement: &OdometryAgreement) -> String {
+    let OdometryAgreement { turn_ratio, distance_ratio, direction_rad } = agreement;
+    let text = |value: &Option<f64>, decimals: usize| {
+        value.map_or("unknown".into(), |value| format!("{value:.decimals$}"))
+    };
+    format!(
+        "  odometry  in the map turns are {} and distances {} times odometry's, and directions are {} rad from odometry's\n",
+        text(turn_ratio, 2),
+        text(distance_ratio, 2),
+        text(direction_rad, 3)
+    )
 }
 
 /// Numbers of scans of a recording that are left out, and of times when its clock was set back.

@@ -18,8 +18,14 @@ const PLAN_STRIDE: usize = 2;
 const FINDING_PLACE: &str =
     "the robot does not know where it is: it turns, then drives by its LiDAR until SLAM finds its place";
 
-/// State, number of the goal, and next pose.
-type Reported = (NavigationState, u64, Option<usize>);
+/// Why a robot of an exploration has no goal.
+const WAITING_FOR_TASK: &str =
+    "the robot takes part in the exploration, and there is nothing for it to explore now";
+/// What a robot does that cannot drive on.
+const GETTING_FREE: &str = "the robot backs up or turns to get free";
+
+/// State, number of the goal, next pose, and whether the robot waits for a task of the exploration.
+type Reported = (NavigationState, u64, Option<usize>, bool);
 
 /// What was decided for a robot.
 pub(super) struct Decision<'a> {
@@ -37,6 +43,8 @@ pub(super) struct Decision<'a> {
     pub(super) pause_reason: PauseReason,
     /// Whether plans are in the merged map.
     pub(super) in_merged_map: bool,
+    /// Whether the robot takes part in an exploration.
+    pub(super) is_exploring: bool,
 }
 
 /// Channels of one robot that navigation writes.
@@ -70,7 +78,8 @@ impl<P: Ports> RobotOutputs<P> {
     pub(super) fn publish(&mut self, stamp: Stamp, now: Monotonic, decision: &Decision) {
         let state = decision.navigation.map_or(NavigationState::Idle, |navigation| navigation.state);
         let next_pose = decision.navigation.and_then(|navigation| navigation.next_pose);
-        let reported = (state, decision.goal, next_pose);
+        let waits_for_task = state == NavigationState::Cancelled && decision.is_exploring;
+        let reported = (state, decision.goal, next_pose, waits_for_task);
         let is_due = match self.reported {
             None => decision.goal != 0 || decision.has_command,
             Some((before, at)) => {
@@ -120,7 +129,10 @@ fn report(stamp: Stamp, decision: &Decision) -> NavigationReport {
             report.set_reason(&failure.to_string());
             NavigationStatus::Blocked
         }
-        NavigationState::Recovering => NavigationStatus::Recovering,
+        NavigationState::Recovering => {
+            report.set_reason(GETTING_FREE);
+            NavigationStatus::Recovering
+        }
         NavigationState::FindingPlace => {
             report.set_reason(FINDING_PLACE);
             NavigationStatus::Recovering
@@ -130,7 +142,12 @@ fn report(stamp: Stamp, decision: &Decision) -> NavigationReport {
             NavigationStatus::Paused
         }
         NavigationState::Reached => NavigationStatus::Reached,
-        NavigationState::Cancelled => NavigationStatus::Cancelled,
+        NavigationState::Cancelled => {
+            if decision.is_exploring {
+                report.set_reason(WAITING_FOR_TASK);
+            }
+            NavigationStatus::Cancelled
+        }
         NavigationState::Failed(failure) => {
             report.set_reason(&failure.to_string());
             NavigationStatus::Failed

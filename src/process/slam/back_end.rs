@@ -35,6 +35,9 @@ pub struct BackEndWorker<P: Ports> {
     map: MapPublisher<P>,
     submaps: SubmapPublisher<P>,
     clock: P::Clock,
+    robot: RobotId,
+    /// Reasons why the map may be wrong that a person was told.
+    told_reasons: Vec<&'static str>,
     ended: bool,
 }
 
@@ -69,6 +72,8 @@ impl<P: Ports> BackEndWorker<P> {
                 now,
             },
             clock,
+            robot,
+            told_reasons: Vec::new(),
             ended: false,
         })
     }
@@ -101,6 +106,12 @@ impl<P: Ports> BackEndWorker<P> {
         if std::mem::take(&mut state.map_changed) {
             map.mark_changed();
             submaps.update(&state.back);
+            for reason in state.back.reliability_evidence().reasons() {
+                if !self.told_reasons.contains(&reason) {
+                    self.told_reasons.push(reason);
+                    tracing::warn!("slam of {}: the map may be wrong: {reason}", self.robot);
+                }
+            }
         }
         let now = state.now;
         let map_due = map.step(&mut state.back, now);
