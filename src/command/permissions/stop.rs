@@ -313,6 +313,11 @@ mod tests {
     use std::os::unix::net::{UnixListener, UnixStream};
     use std::thread;
 
+    /// Reads a request; a socket that is closed with an unread one takes its answer with it.
+    fn read_request(stream: &UnixStream) {
+        BufReader::new(stream).read_line(&mut String::new()).unwrap();
+    }
+
     fn confirm_stop(mut stream: UnixStream) {
         let answer = Ok::<_, String>(BridgeState { stopped: true, ..BridgeState::default() });
         stream.write_all((serde_json::to_string(&answer).unwrap() + "\n").as_bytes()).unwrap();
@@ -333,10 +338,10 @@ mod tests {
         let fleets = thread::scope(|scope| {
             scope.spawn(|| {
                 let (waits, _) = late.accept().unwrap();
+                read_request(&waits);
                 // It answers when the other bridge has been asked.
                 let (asked, _) = next.accept().unwrap();
-                let mut request = String::new();
-                BufReader::new(&asked).read_line(&mut request).unwrap();
+                read_request(&asked);
                 [asked, waits].into_iter().for_each(confirm_stop);
             });
             confirm_all(Vec::new(), lost.into())
