@@ -52,6 +52,11 @@ impl Fleet {
         format!("127.0.0.1:{}", self.port)
     }
 
+    /// Returns whether the run's folder says that the emergency stop is set: what a bridge that starts again sets.
+    pub fn is_stopped(&self) -> bool {
+        self.dir.join("stopped").exists()
+    }
+
     /// Returns the process id of the bridge.
     pub fn bridge(&self) -> Result<u32, Box<dyn Error>> {
         let launcher = self.launcher.id();

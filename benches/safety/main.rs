@@ -1,5 +1,6 @@
 //! Whether a robot gets a zero in time however its operator vanishes: for each world and each way, the zeros that arrived,
-//! and the longest time from the last command to the zero at the robot.
+//! and the longest time from the last command to the zero at the robot. Where the bridge dies just after an emergency stop, the zero
+//! counts if the stop is kept.
 //!
 //! `cargo bench --bench safety [-- --trials 100 --world ros --json FILE --check]`. Without `--world` it takes all three.
 //!
@@ -15,7 +16,7 @@ mod words;
 
 use fleet::Fleet;
 use link::CutLink;
-use operator::Operator;
+use operator::{Operator, StopButton};
 use robot::{Heard, Robot};
 use rustix::process::Signal;
 use serde_json::json;
@@ -29,6 +30,8 @@ const ZERO_WITHIN: Duration = Duration::from_millis(350);
 const ZERO_WITHIN_KILLED: Duration = Duration::from_secs(1);
 /// The same if the bridge was stopped: the supervisor must find that it hangs first.
 const ZERO_WITHIN_STOPPED: Duration = Duration::from_secs(3);
+/// Time from an emergency stop to the death of the bridge: it has saved the stop by then.
+const KILLED_AFTER_STOP: Duration = Duration::from_millis(5);
 /// Limit of every wait for something that a trial needs.
 const PATIENCE: Duration = Duration::from_secs(30);
 /// How long the operator drives before it vanishes; each trial adds a part of a command's period.
@@ -48,10 +51,11 @@ enum Vanishing {
     DdsKilled,
     BridgeKilled,
     BridgeStopped,
+    KilledAfterStop,
 }
 
 impl Vanishing {
-    const ALL: [Self; 7] = [
+    const ALL: [Self; 8] = [
         Self::TcpClose,
         Self::TcpSilence,
         Self::TcpFrozen,
@@ -59,6 +63,7 @@ impl Vanishing {
         Self::DdsKilled,
         Self::BridgeKilled,
         Self::BridgeStopped,
+        Self::KilledAfterStop,
     ];
 
     fn name(self) -> &'static str {
@@ -70,16 +75,17 @@ impl Vanishing {
             Self::DdsKilled => "DDS writer killed (SIGKILL)",
             Self::BridgeKilled => "bridge killed (SIGKILL)",
             Self::BridgeStopped => "bridge stopped (SIGSTOP)",
+            Self::KilledAfterStop => "bridge killed 5 ms after E-stop",
         }
     }
 
     fn ends_bridge(self) -> bool {
-        matches!(self, Self::BridgeKilled | Self::BridgeStopped)
+        matches!(self, Self::BridgeKilled | Self::BridgeStopped | Self::KilledAfterStop)
     }
 
     fn limit(self) -> Duration {
         match self {
-            Self::BridgeKilled => ZERO_WITHIN_KILLED,
+            Self::BridgeKilled | Self::KilledAfterStop => ZERO_WITHIN_KILLED,
             Self::BridgeStopped => ZERO_WITHIN_STOPPED,
             _ => ZERO_WITHIN,
         }
@@ -165,7 +171,9 @@ fn measure(
         let zero_at = stopped_at(&heard).unwrap_or_else(mr_slam::clock::now);
         let took = Duration::from_nanos(zero_at.since(vanished));
         row.worst = row.worst.max(took);
-        row.zeros += usize::from(took <= way.limit());
+        // A stop that is forgotten is worse than a late zero.
+        let is_kept = way != Vanishing::KilledAfterStop || fleet.is_stopped();
+        row.zeros += usize::from(took <= way.limit() && is_kept);
     }
     Ok(row)
 }
@@ -193,6 +201,8 @@ fn vanish(
         }
         _ => Operator::start("tcp", &tcp, None)?,
     };
+    let is_pressed = way == Vanishing::KilledAfterStop;
+    let mut button = is_pressed.then(|| StopButton::connect(&tcp)).transpose()?;
     wait("a robot that is driven", || robot.heard().iter().any(|heard| heard.linear_m_s != 0.0))?;
     std::thread::sleep(driven);
     let bridge = fleet.bridge()?;
@@ -207,10 +217,14 @@ fn vanish(
             link.ok_or("no link")?.cut()?;
             last = Some(mr_slam::clock::now());
         }
-        Vanishing::BridgeKilled | Vanishing::BridgeStopped => {
+        Vanishing::BridgeKilled | Vanishing::BridgeStopped | Vanishing::KilledAfterStop => {
+            if let Some(button) = &mut button {
+                button.press()?;
+                std::thread::sleep(KILLED_AFTER_STOP);
+            }
             // The operator's link ends with the bridge; it does not come back.
             last = Some(operator.last_command());
-            fleet::send(bridge, if way == Vanishing::BridgeKilled { Signal::KILL } else { Signal::STOP });
+            fleet::send(bridge, if way == Vanishing::BridgeStopped { Signal::STOP } else { Signal::KILL });
             operator.signal(Signal::STOP);
         }
     }

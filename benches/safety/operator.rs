@@ -4,7 +4,7 @@
 use crate::link::CutLink;
 use bridge::command::{Registration, name};
 use bridge::frame::Side;
-use bridge::ros::{Message, Twist, encode};
+use bridge::ros::{Bool, Message, Twist, encode};
 use msg::Monotonic;
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::dds::{Context, Node};
@@ -26,6 +26,9 @@ pub const PERIOD: Duration = Duration::from_millis(50);
 const WISH_M_S: f64 = 5.0;
 /// The operator counts as silent after this time without a velocity, nanoseconds.
 const SILENT_NS: u64 = 120_000_000;
+
+/// Topic on which clients set the emergency stop.
+const EMERGENCY_STOP: &str = "/emergency_stop";
 
 /// geometry_msgs/Twist as DDS carries it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -81,6 +84,31 @@ impl Drop for Operator {
         // It may have ended already.
         let _ = self.process.kill();
         let _ = self.process.wait();
+    }
+}
+
+/// A client on TCP that sets the emergency stop.
+pub struct StopButton {
+    stream: TcpStream,
+}
+
+impl StopButton {
+    /// Connects to a bridge.
+    pub fn connect(address: &str) -> Result<Self, Box<dyn Error>> {
+        let mut stream = TcpStream::connect(address)?;
+        stream.set_nodelay(true)?;
+        let (mut frame, message_name) = (Vec::new(), Bool::TYPE.into());
+        let topic = Registration { topic: EMERGENCY_STOP.into(), message_name, ..Default::default() };
+        Side::Client.write_command(&mut frame, name::PUBLISH, &topic);
+        stream.write_all(&frame)?;
+        Ok(Self { stream })
+    }
+
+    /// Sets the emergency stop; the bridge may not have read it yet.
+    pub fn press(&mut self) -> std::io::Result<()> {
+        let mut frame = Vec::new();
+        Side::Client.write_with(&mut frame, EMERGENCY_STOP, |out| encode(&Bool(true), out));
+        self.stream.write_all(&frame)
     }
 }
 
