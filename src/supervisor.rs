@@ -3,7 +3,7 @@
 //! What a dead child left in shared memory is removed before its restart. A child that hangs is killed, and started again
 //! like one that died.
 
-use crate::clock::now;
+use crate::clock::{RESTARTS_VARIABLE, now};
 use crate::process::control::saved_state::{latch_stop, stop_file};
 use crate::processes::ProcessRow;
 use crate::progress::{self, ProgressBoard, WatchedThread};
@@ -198,9 +198,10 @@ impl Supervisor {
         if !policy.is_due(now()) {
             return;
         }
+        let starts_before = policy.starts();
         let place = robot.and_then(|robot| last_seen(row.role, robot));
         let cleared = self.progress.clear(index).and_then(|()| self.stop_if_unknown(row.role));
-        let started = cleared.and_then(|()| self.spawn(row, robot, place));
+        let started = cleared.and_then(|()| self.spawn(row, robot, place, starts_before));
         let member = &mut self.members[index];
         match started {
             Ok(child) => {
@@ -215,9 +216,15 @@ impl Supervisor {
         }
     }
 
-    fn spawn(&self, row: &ProcessRow, robot: Option<RobotId>, place: Option<Pose2>) -> io::Result<Child> {
+    fn spawn(
+        &self,
+        row: &ProcessRow,
+        robot: Option<RobotId>,
+        place: Option<Pose2>,
+        starts_before: u64,
+    ) -> io::Result<Child> {
         let mut command = Command::new(std::env::current_exe()?);
-        command.args(["worker", row.role.name()]);
+        command.args(["worker", row.role.name()]).env(RESTARTS_VARIABLE, starts_before.to_string());
         if let Some(robot) = robot {
             command.arg("--robot").arg(robot.number().to_string());
         }

@@ -82,4 +82,6 @@ pub struct ProcessHealth {
     pub memory_bytes: u64,
     /// Processor time used since the start, nanoseconds.
     pub cpu_ns: u64,
+    /// How often the launcher started the process before.
+    pub restarts: u64,
 }

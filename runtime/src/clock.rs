@@ -3,9 +3,15 @@
 use crate::ports::{Clock, ProcessUsage};
 use msg::{Monotonic, Stamp};
 use rustix::time::{ClockId, clock_gettime};
+use std::sync::OnceLock;
 
 /// Nanoseconds in a second.
 const NS_PER_S: i64 = 1_000_000_000;
+
+/// Variable in which the launcher tells a process how often it was started before.
+pub const RESTARTS_VARIABLE: &str = "MR_SLAM_RESTARTS";
+/// What the variable said when the process asked first.
+static RESTARTS: OnceLock<u64> = OnceLock::new();
 
 /// Reads CLOCK_MONOTONIC, which is the same clock in every process of the machine.
 pub fn now() -> Monotonic {
@@ -23,7 +29,10 @@ impl Clock for SystemClock {
     }
 
     fn usage(&self) -> ProcessUsage {
-        ProcessUsage { pid: std::process::id(), memory_bytes: memory_bytes(), cpu_ns: cpu_ns() }
+        let restarts = *RESTARTS.get_or_init(|| {
+            std::env::var(RESTARTS_VARIABLE).ok().and_then(|count| count.parse().ok()).unwrap_or(0)
+        });
+        ProcessUsage { pid: std::process::id(), memory_bytes: memory_bytes(), cpu_ns: cpu_ns(), restarts }
     }
 }
 

@@ -40,6 +40,8 @@ pub struct ProcessUsage {
     pub memory_bytes: u64,
     /// Processor time, nanoseconds.
     pub cpu_ns: u64,
+    /// How often the launcher started the process before.
+    pub restarts: u64,
 }
 
 /// Clock of a process, and its use of the machine.

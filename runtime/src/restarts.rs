@@ -36,17 +36,24 @@ pub struct RestartPolicy {
     state: State,
     /// Deaths in a row.
     deaths: u32,
+    /// How often the process was started.
+    starts: u64,
 }
 
 impl RestartPolicy {
     /// Creates the policy of a process that is to be started now.
     pub fn new(now: Monotonic) -> Self {
-        Self { state: State::Waiting { until: now }, deaths: 0 }
+        Self { state: State::Waiting { until: now }, deaths: 0, starts: 0 }
     }
 
     /// Returns the state of the process.
     pub fn state(&self) -> State {
         self.state
+    }
+
+    /// Returns how often the process was started.
+    pub fn starts(&self) -> u64 {
+        self.starts
     }
 
     /// Returns whether it is to be started now.
@@ -57,6 +64,7 @@ impl RestartPolicy {
     /// Records that the process was started.
     pub fn on_started(&mut self, now: Monotonic) {
         self.state = State::Running { since: now };
+        self.starts += 1;
     }
 
     /// Records that the process ended or could not be started; returns the new state.

@@ -99,6 +99,7 @@ impl<P: Ports> Heartbeat<P> {
             health.late_max_us = late_max_us;
             health.memory_bytes = usage.memory_bytes;
             health.cpu_ns = usage.cpu_ns;
+            health.restarts = usage.restarts;
         });
     }
 }

@@ -24,9 +24,11 @@ impl ProcessTable {
     /// Records a report. One of a role or robot that the fleet does not have is ignored.
     pub fn receive(&mut self, health: &ProcessHealth, received: Monotonic) {
         let Some(slot) = self.slot(health).and_then(|slot| self.slots.get_mut(slot)) else { return };
-        let restarts = slot.map_or(0, |report| {
+        let counted = slot.map_or(0, |report| {
             report.restarts + u64::from(report.health.header.incarnation != health.header.incarnation)
         });
+        // The launcher knows of processes that died before their first report, and before this process started.
+        let restarts = counted.max(health.restarts);
         *slot = Some(Report { health: *health, received, restarts });
     }
 
@@ -92,6 +94,10 @@ mod tests {
         processes.receive(&ProcessHealth { role: 77, ..Default::default() }, Monotonic(0));
         let health = processes.health(Monotonic(3_500_000_000));
         assert_eq!((health[3].restarts, health[3].age_s), (2, 2.5));
+        // What the launcher counts is the truth, also for a table that has just begun.
+        let mut begun = ProcessTable::new(2);
+        begun.receive(&ProcessHealth { restarts: 5, ..health_of(Role::Slam, 2, 9) }, Monotonic(0));
+        assert_eq!(begun.health(Monotonic(0))[3].restarts, 5);
         assert_eq!(health[6].health.role, Role::Bridge as u32);
         assert_eq!(health.iter().filter(|process| process.health.role != 0).count(), 2);
     }
