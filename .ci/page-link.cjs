@@ -113,6 +113,8 @@ async function commandTimes(page, count) {
 
 test("commands do not wait behind maps", async () => {
   const { proxy, page } = await openBehind({ delayMs: DELAY_MS });
+  // The way there and back on this machine, with what it does besides.
+  const alone = await commandTimes(page, 20);
   // Whole maps, as often as they can be had, on a connection beside the page's two.
   await page.evaluate(async () => {
     const { Connection } = await import("./transport.js");
@@ -127,9 +129,8 @@ test("commands do not wait behind maps", async () => {
   const times = await commandTimes(page, 20);
   const maps = await page.evaluate(() => globalThis.wholeMaps);
   assert.ok(maps > 5, `${maps} maps came meanwhile`);
-  assert.ok(times.every((time) => time !== null), JSON.stringify(times));
-  // There and back, and what a busy machine adds.
-  assert.ok(median(times) < 2 * DELAY_MS + 60, JSON.stringify(times));
+  assert.ok([...alone, ...times].every((time) => time !== null), JSON.stringify({ alone, times }));
+  assert.ok(median(times) < 1.25 * median(alone), JSON.stringify({ alone, times }));
   proxy.close();
 });
 
