@@ -75,7 +75,7 @@ impl Vanishing {
             Self::DdsKilled => "DDS writer killed (SIGKILL)",
             Self::BridgeKilled => "bridge killed (SIGKILL)",
             Self::BridgeStopped => "bridge stopped (SIGSTOP)",
-            Self::KilledAfterStop => "bridge killed 5 ms after E-stop",
+            Self::KilledAfterStop => "bridge killed 5 ms after stop",
         }
     }
 
