@@ -2,7 +2,9 @@
 
 use crate::channel::{self, Opener, Program};
 use crate::clock::now;
+use crate::config::RobotSource;
 use crate::ports::{ChannelError, ReadMapPort};
+use crate::progress;
 use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
 use formats::map_file;
@@ -10,7 +12,7 @@ use msg::{
     DenseMap, EdgeState, FleetStats, GroundTruth, MapTransforms, MergeEdges, Monotonic, Pose2, PoseEstimate,
     RobotId, Role, TrackingState, VelocityCommand,
 };
-use reports::EdgeView;
+use reports::{EdgeView, FleetView};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use telemetry::UnreliableMaps;
@@ -144,6 +146,14 @@ impl Observer {
     /// Newest figures; `None` until the first ones came.
     pub fn stats(&self) -> Option<&FleetStats> {
         self.newest.as_deref()
+    }
+
+    /// Newest figures as people and scripts read them, without edges and the bridge's state; `None` until the first ones came.
+    pub fn fleet_view(&self, run: &Run) -> Option<FleetView> {
+        // Robots' processes on other machines have those machines' process ids.
+        let is_elsewhere = run.config.world == RobotSource::Robots;
+        let view = FleetView::new(self.stats()?).without_given_transforms(run.config.fleet.starts_known);
+        Some(view.with_ended_processes(|pid| is_elsewhere || progress::is_alive(pid)))
     }
 
     /// Newest velocity that a robot was told, by its index, and its age in seconds.

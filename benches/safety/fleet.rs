@@ -4,6 +4,7 @@
 mod launcher;
 
 use crate::link::operator_address;
+use mr_slam::process::control::saved_state::stop_file;
 use rustix::process::{Pid, Signal, kill_process};
 use std::error::Error;
 use std::path::PathBuf;
@@ -54,7 +55,7 @@ impl Fleet {
 
     /// Returns whether the run's folder says that the emergency stop is set: what a bridge that starts again sets.
     pub fn is_stopped(&self) -> bool {
-        self.dir.join("stopped").exists()
+        stop_file(&self.dir).exists()
     }
 
     /// Returns the process id of the bridge.

@@ -177,7 +177,7 @@ impl Fleet {
             return Err(ValueError::StartsCount { starts: self.starts.len(), robots });
         }
         for (index, start) in self.starts.iter().enumerate() {
-            if start.iter().any(|value| !value.is_finite()) || start[2].abs() > START_YAW_MAX_RAD {
+            if start.iter().any(|value| !value.is_finite()) || start[2].abs() > msg::pose::YAW_MAX_RAD {
                 return Err(ValueError::Start { index, start: *start });
             }
         }
@@ -196,8 +196,6 @@ impl Fleet {
 
 /// Largest size of a fleet file, bytes: the default with its explanations has 30 kB.
 const FILE_BYTES_MAX: u64 = 1 << 20;
-/// Largest yaw of a start that is no number of degrees by mistake, radians: a whole turn, rounded.
-const START_YAW_MAX_RAD: f64 = 6.29;
 
 /// Name of the built-in room.
 pub const LABORATORY: &str = "laboratory";

@@ -10,6 +10,9 @@ use core::ops::Mul;
 /// Largest coordinate that is taken from outside, metres: no robot gets farther, so that beyond it a message is broken.
 pub const COORDINATE_MAX_M: f64 = 1e5;
 
+/// Largest yaw that a person can mean in radians, and not in degrees: a whole turn, rounded.
+pub const YAW_MAX_RAD: f64 = 6.29;
+
 /// Pose or transform in the plane, SE(2): a rotation by `yaw_rad`, then a shift by (`x_m`, `y_m`).
 ///
 /// ```

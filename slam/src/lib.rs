@@ -55,7 +55,7 @@ pub use graph::{Edge, EdgeKind, Graph, PoseVariances, RelativeUncertainty, Syste
 pub use localizer::LocalizerCounts;
 pub use mapper::OccupancyMapper;
 pub use node::{FrameUncertainty, MapFrameUpdate, Node, Rays, SweptPath};
-pub use odometry_agreement::{MotionPair, OdometryAgreement};
+pub use odometry_agreement::OdometryAgreement;
 pub use point_transform::PointTransform;
 pub use reliability::ReliabilityEvidence;
 pub use relocalize::{LocalFrameEstimate, RelocalizationCounts};

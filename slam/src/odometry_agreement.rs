@@ -27,7 +27,7 @@ const DIRECTION_MAX_RAD: f64 = 0.15;
 
 /// One motion between two nodes, by odometry and in the map, each in the frame of the first.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MotionPair {
+pub(crate) struct MotionPair {
     /// The motion by odometry.
     pub by_odometry: Pose2,
     /// The motion in the map.
@@ -48,7 +48,7 @@ pub struct OdometryAgreement {
 
 impl OdometryAgreement {
     /// Compares all motions of a path.
-    pub fn new(motions: &[MotionPair]) -> Self {
+    pub(crate) fn new(motions: &[MotionPair]) -> Self {
         let turns = motions.iter().filter(|pair| pair.by_odometry.yaw_rad.abs() >= TURN_MIN_RAD);
         let turn_ratios = turns.map(|pair| pair.in_map.yaw_rad / pair.by_odometry.yaw_rad).collect();
         let length_m = |motion: Pose2| motion.x_m.hypot(motion.y_m);

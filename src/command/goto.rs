@@ -9,11 +9,10 @@ use super::waiting::{WaitError, Waiting};
 use crate::channel::{self, Opener, Program};
 use crate::control::{self, Request};
 use crate::ports::ChannelError;
-use crate::process::YAW_MAX_RAD;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, Reader, Writer, let_readers_look, wait};
 use crate::stop::Stop;
-use msg::pose::COORDINATE_MAX_M;
+use msg::pose::{COORDINATE_MAX_M, YAW_MAX_RAD};
 use msg::{
     CommandSource, Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose,
     NavigationReport, NavigationStatus, RobotId,

@@ -8,7 +8,6 @@ use crate::observer::Observer;
 use crate::ports::ChannelError;
 use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport, REPORT_AGE_MAX};
-use crate::progress;
 use crate::run::{Run, RunError};
 use reports::FleetView;
 use serde::Serialize;
@@ -135,12 +134,7 @@ fn newest_figures(run: &Run) -> Result<FleetView, StatusError> {
     let mut observer = Observer::attach(run, "status")?;
     let begun = Instant::now();
     while !observer.poll() && !observer.wait(PATIENCE) && begun.elapsed() <= PATIENCE {}
-    let stats = observer.stats().ok_or(StatusError::NoFigures { run: run.dir.clone() })?;
-    // Robots' processes on other machines have those machines' process ids.
-    let is_elsewhere = run.config.world == RobotSource::Robots;
-    let view = FleetView::new(stats)
-        .without_given_transforms(run.config.fleet.starts_known)
-        .with_ended_processes(|pid| is_elsewhere || progress::is_alive(pid));
+    let view = observer.fleet_view(run).ok_or_else(|| StatusError::NoFigures { run: run.dir.clone() })?;
     observer.changed_edges();
     // Figures without the bridge's state are still worth having.
     let (bridge, bridge_silence) = match control::ask_again(run, Request::State, PATIENCE) {

@@ -15,11 +15,10 @@ pub use report::{Paper, Report, Spread};
 
 use super::fleet_args::FleetArgs;
 use crate::certificate::CertificateError;
-use crate::config::{ConfigError, FleetConfig, RobotSource, ValueError};
+use crate::config::{ConfigError, FleetConfig, ValueError};
 use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
 use crate::offered_room;
-use crate::progress;
 use crate::resources::{self, ResourceMonitor, Shortage};
 use crate::run::{Run, RunError, create_new_folder, keep_earlier_results};
 use crate::sessions;
@@ -380,11 +379,7 @@ fn check_resources(run: &Run, screen: &mut Screen) -> Result<(), UpError> {
 }
 
 fn fleet_view(run: &Run, observer: &Observer, console: &OperatorConsole) -> Option<FleetView> {
-    // Robots' processes on other machines have those machines' process ids.
-    let is_elsewhere = run.config.world == RobotSource::Robots;
-    let view = FleetView::new(observer.stats()?)
-        .without_given_transforms(run.config.fleet.starts_known)
-        .with_ended_processes(|pid| is_elsewhere || progress::is_alive(pid));
+    let view = observer.fleet_view(run)?;
     Some(console.fill(view.with_edges(observer.merge_edges())))
 }
 

@@ -26,7 +26,7 @@ use crate::realtime::SettingError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, wait};
 use crate::stop::Stop;
-use msg::pose::COORDINATE_MAX_M;
+use msg::pose::{COORDINATE_MAX_M, YAW_MAX_RAD};
 use msg::{Monotonic, Pose2, RobotId, Role};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -69,9 +69,6 @@ pub struct ProcessArgs {
     #[arg(long, value_name = "DIR")]
     pub run_dir: PathBuf,
 }
-
-/// Largest yaw that is no number of degrees by mistake, radians: a whole turn, rounded.
-pub const YAW_MAX_RAD: f64 = 6.29;
 
 /// Text that is no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
