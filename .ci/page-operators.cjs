@@ -100,7 +100,10 @@ test("two pages and a ros_tcp client contend for a robot: one drives, all know w
 test("the robot obeys the operator who took it over, and no one else", async () => {
   const observer = await watchSpeed(browser);
   const [{ page: first }, { page: second }] = [await open(browser), await open(browser)];
-  const goes = (sign) => observer.waitForFunction((wanted) => globalThis.speeds.at(-1)?.[1] * wanted > 0.04, sign, WAIT);
+  const goes = (sign) => observer.waitForFunction((wanted) => globalThis.speeds.at(-1)?.[1] * wanted > 0.04, sign, WAIT).catch(async (error) => {
+    const hints = await Promise.all([first, second].map((page) => page.textContent("#hint")));
+    throw new Error(`${error.message}\nthe operators read: ${hints.join(" | ")}`);
+  });
   for (const page of [first, second]) await page.keyboard.press("Digit1");
   await first.keyboard.down("KeyS");
   await goes(-1);

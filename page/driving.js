@@ -53,14 +53,16 @@ export class Driving {
   /** Returns the situation as the bridge will say it after a takeover that is under way. @returns {Situation} */
   situation() {
     const situation = this.of.situation();
-    if (situation.driver === "me" || situation.robot !== this.deadMan.situation.robot) this.takeoverTicks = 0;
+    const { robot, driver } = this.deadMan.situation;
+    // A takeover is over when the bridge names this operator anew: that it did so before may be what it said before somebody else took it.
+    if (situation.robot !== robot || (situation.driver === "me" && driver !== "me")) this.takeoverTicks = 0;
     return this.takeoverTicks > 0 && situation.driver === "other" ? { ...situation, driver: null } : situation;
   }
 
-  /** Takes that the operator takes the selected robot over: what is pressed from now on drives it. */
+  /** Takes that the operator takes the selected robot over: what is pressed from now on drives it, also where its driver is not known yet. */
   takeOver() {
     this.observe();
-    if (this.deadMan.isRefused) this.takeoverTicks = TAKEOVER_TICKS;
+    this.takeoverTicks = TAKEOVER_TICKS;
     this.observe();
   }
 

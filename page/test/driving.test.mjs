@@ -126,6 +126,21 @@ test("after a takeover a new press drives before the bridge names the new driver
   assert.equal(driving.tick().linear, 0);
 });
 
+for (const known of /** @type {const} */ ([null, "me"])) test(`a takeover drives when the other driver is named late, after ${known ?? "nobody"}`, () => {
+  const { state, driving } = page();
+  state.driver = known;
+  driving.takeOver();
+  driving.press("KeyW", false);
+  assert.ok(driving.tick().linear > 0);
+  // The figures of before the takeover name the driver who was taken over.
+  state.driver = "other";
+  assert.ok(driving.tick().linear > 0);
+  state.driver = "me";
+  assert.ok(driving.tick().linear > 0);
+  state.driver = "other";
+  assert.equal(driving.tick().linear, 0, "somebody has taken it back");
+});
+
 test("a refusal ends a takeover, and a takeover that succeeded is over", () => {
   const { state, driving } = page();
   state.driver = "other";
