@@ -17,6 +17,7 @@ mod error;
 mod frame_tree;
 mod input;
 mod mount;
+mod publishers;
 mod restart;
 mod suspects;
 mod transforms;
@@ -27,6 +28,7 @@ pub use clock::{ClockEstimate, ClockOffset, SourceClock};
 pub use error::WorldError;
 pub(crate) use input::{DDS_SOURCE, WorldInput};
 pub use mount::MountError;
+pub use publishers::{PublisherId, RobotTopic, Sender};
 pub use suspects::OutlierError;
 
 use checks::{check_scan, check_transform, empty_scan, planar_pose};
@@ -34,6 +36,7 @@ use mount::Mounts;
 use msg::{
     Clock, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp, Transforms,
 };
+use publishers::RobotPublishers;
 use ros_messages::cdr::Reader;
 use ros_messages::names::RobotNames;
 use ros_messages::read;
@@ -84,6 +87,7 @@ struct RobotState {
     last_transform: Option<Stamp>,
     /// Whether odom -> base_footprint was received: base_link, which moves the same, is then not needed.
     has_footprint: bool,
+    publishers: RobotPublishers,
 }
 
 /// One message from a source, behind its encapsulation header.
@@ -106,6 +110,7 @@ pub enum Incoming<'a> {
 /// The origin of one message: who sent it, by which clock, and when it arrived.
 struct Origin<'a> {
     source: SourceId,
+    publisher: Option<PublisherId>,
     clock: &'a mut SourceClock,
     /// Arrival, by the run's time.
     received: Stamp,
@@ -163,12 +168,13 @@ impl ExternalWorld {
     /// of the message taken; the error is the first one's.
     pub fn receive(
         &mut self,
-        source: SourceId,
+        sender: impl Into<Sender>,
         clock: &mut SourceClock,
         message: Incoming<'_>,
         received: Stamp,
     ) -> Result<(), WorldError> {
-        let mut origin = Origin { source, clock, received };
+        let Sender { source, publisher } = sender.into();
+        let mut origin = Origin { source, publisher, clock, received };
         match message {
             Incoming::Scan(robot, from) => self.receive_scan(&mut origin, robot, from),
             Incoming::Transforms(from) => self.receive_transforms(&mut origin, None, &from),
@@ -188,6 +194,9 @@ impl ExternalWorld {
         mut from: Reader<'_>,
     ) -> Result<(), WorldError> {
         self.check_source(origin, robot)?;
+        if !self.is_of_one_publisher(origin, robot, RobotTopic::Scan)? {
+            return Ok(());
+        }
         let frame = read::laser_scan(&mut from, &mut self.scan)?;
         check_scan(&mut self.scan)?;
         if !self.mount_scan(origin, robot, frame)? {
@@ -226,9 +235,12 @@ impl ExternalWorld {
         let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
         state.source = Some((origin.source, origin.received));
-        if state.last_transform.is_some_and(|last| origin.received - last < SOURCE_TIMEOUT_S) {
+        if state.last_transform.is_some_and(|last| origin.received - last < SOURCE_TIMEOUT_S)
+            || !self.is_of_one_publisher(origin, robot, RobotTopic::Odometry)?
+        {
             return Ok(());
         }
+        let state = &self.robots[robot.index()];
         let is_new = state.last_pose.is_none_or(|last| stamp > last.stamp);
         self.send_odometry(robot, [transform.stamp, stamp], &parent_from_child, false)?;
         if is_new {

@@ -1,14 +1,15 @@
 //! The ROS 2 endpoint against another implementation's node on loopback: ros2-client's own readers and writers.
 //! `.ci/interop` tests it against ROS 2 itself.
 
+mod watched;
+
 use bridge::dds::{DdsConfig, DdsEndpoint, DdsQueues};
-use bridge::world::ExternalWorld;
+use bridge::world::{ExternalWorld, WorldMessage};
 use bridge::{Bridge, BridgeConfig, FleetMessage, Transport, process_clock};
 use futures::StreamExt;
-
 use msg::{
-    GridHeader, GridView, Header, Pose2, RobotId, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse,
-    Stamp, VelocityCommand,
+    GridHeader, GridView, Header, Monotonic, Odometry, Pose2, RobotId, SlamOutcome, SlamRequest,
+    SlamRequestKind, SlamResponse, Stamp, VelocityCommand,
 };
 use ros2_client::builtin_topics::ros_discovery;
 use ros2_client::dds::rustdds::{self, DomainParticipantBuilder, QosPolicyBuilder, TopicKind, policy};
@@ -18,17 +19,17 @@ use ros2_client::qos::{Durability, QosProfile};
 use ros2_client::{Message, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
-use std::future::Future;
 use std::net::Ipv4Addr;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::task::{LocalSet, spawn_local};
+use tokio::task::spawn_local;
+use watched::run;
 
-/// No step takes this long unless it hangs.
-const WATCHDOG: Duration = Duration::from_secs(60);
 /// Whatever else is on its way arrives within this time.
 const QUIET: Duration = Duration::from_millis(400);
+/// Period of what a test sends or looks at.
+const PERIOD: Duration = Duration::from_millis(20);
 
 #[derive(Serialize, Deserialize)]
 struct Grid {
@@ -44,13 +45,6 @@ struct Grid {
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct Twist([f64; 6]);
-
-fn run(test: impl Future<Output = ()>) {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    LocalSet::new().block_on(&runtime, async {
-        tokio::time::timeout(WATCHDOG, test).await.expect("the test hangs");
-    });
-}
 
 /// A domain that no other test uses at the same time, in all probability: ports belong to the machine.
 fn config(offset: u32) -> BridgeConfig {
@@ -239,7 +233,7 @@ fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
             short.publish(7).unwrap();
             valid.publish(Twist([f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
             valid.publish(Twist([0.1, 0.0, 0.0, 0.0, 0.0, -0.5])).unwrap();
-            tokio::time::sleep(Duration::from_millis(20)).await;
+            tokio::time::sleep(PERIOD).await;
         }
         let all = |commands: &[VelocityCommand]| {
             commands.iter().filter(moving).all(|c| (c.linear_m_s, c.angular_rad_s) == (0.1, -0.5))
@@ -279,12 +273,12 @@ fn a_robot_stops_at_once_when_its_writer_is_gone_and_the_stop_can_be_read() {
         let driver = other.create_publisher::<Twist>(&topic, None).unwrap();
         while commands.borrow().last() != Some(&0.1) {
             driver.publish(Twist([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
-            tokio::time::sleep(Duration::from_millis(20)).await;
+            tokio::time::sleep(PERIOD).await;
         }
         drop(driver);
         // Nobody calls `tick`: only the end of the writer stops the robot.
         while commands.borrow().last() != Some(&0.0) {
-            tokio::time::sleep(Duration::from_millis(20)).await;
+            tokio::time::sleep(PERIOD).await;
         }
 
         bridge.stop_robots();
@@ -324,6 +318,56 @@ fn an_external_robot_that_begins_to_listen_is_sent_a_zero() {
         let mut velocities = std::pin::pin!(robot.async_stream());
         let (velocity, _) = velocities.next().await.unwrap().unwrap();
         assert_eq!(velocity.0, [0.0; 6], "although nobody drives, and zeros of the start found no reader");
+    });
+}
+
+#[test]
+fn nothing_is_taken_while_two_robots_send_under_one_name_and_the_operator_is_told() {
+    run(async {
+        let config = config(53);
+        let taken_x_m = Rc::new(RefCell::new(Vec::<f64>::new()));
+        let sink = taken_x_m.clone();
+        let world = ExternalWorld::new(1, move |message| {
+            if let WorldMessage::Odometry(_, odometry) = message {
+                sink.borrow_mut().push(odometry.odom_from_base.x_m);
+            }
+        });
+        let queues = Arc::new(DdsQueues::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, true, queues.clone()).unwrap());
+        let stamp_at = |now: Monotonic| Stamp(now.0 as i64);
+        let bridge =
+            Rc::new(Bridge::with_external_world(config.clone(), world, stamp_at, |_, _| {}).unwrap());
+        connect(&bridge, &endpoint, queues);
+        let open = || {
+            let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
+            spawn_local(endpoint.clone().serve());
+            endpoint
+        };
+        // Sends a pose of each of these robots.
+        let send = async |robots: &[(&DdsEndpoint, f64)]| {
+            for (endpoint, x_m) in robots {
+                let mut odometry = Odometry::default();
+                (odometry.odom_from_base.x_m, odometry.header.stamp) =
+                    (*x_m, Stamp(process_clock().0 as i64));
+                endpoint.publish(FleetMessage::Odometry(robot(), &odometry));
+            }
+            tokio::time::sleep(PERIOD).await;
+        };
+        let (one, two) = (open(), open());
+        while taken_x_m.borrow().is_empty() {
+            send(&[(&one, 1.0)]).await;
+        }
+        let is_told =
+            || bridge.take_events().iter().any(|event| event.contains("from two publishers at once"));
+        while !is_told() {
+            send(&[(&one, 1.0), (&two, 9.0)]).await;
+        }
+        assert!(!taken_x_m.borrow().contains(&9.0));
+        taken_x_m.borrow_mut().clear();
+        while taken_x_m.borrow().is_empty() {
+            send(&[(&two, 9.0)]).await;
+        }
+        assert_eq!(taken_x_m.borrow()[0], 9.0, "the one that is left is taken");
     });
 }
 

@@ -1,5 +1,7 @@
 //! Topics between a client and ROS nodes through the bridge and its ROS 2 endpoint: ros2-client is the other side.
 
+mod watched;
+
 use bridge::command::{Call, Registration, name};
 use bridge::dds::{DdsConfig, DdsEndpoint, DdsQueues};
 use bridge::frame::{Parser, Side};
@@ -10,25 +12,16 @@ use ros2_client::qos::{Durability, QosProfile, Reliability};
 use ros2_client::{Message, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use std::future::Future;
 use std::net::Ipv4Addr;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::task::{LocalSet, spawn_local};
+use tokio::task::spawn_local;
+use watched::run;
 
-/// No test takes this long unless it hangs.
-const WATCHDOG: Duration = Duration::from_secs(60);
 /// Whatever else is on its way arrives within this time.
 const QUIET: Duration = Duration::from_millis(400);
 const PAUSE: Duration = Duration::from_millis(20);
-
-fn run(test: impl Future<Output = ()>) {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    LocalSet::new().block_on(&runtime, async {
-        tokio::time::timeout(WATCHDOG, test).await.expect("the test hangs");
-    });
-}
 
 /// A bridge with its endpoint, and one client of it.
 struct Ours {

@@ -111,7 +111,7 @@ impl Core {
             Ok(Some(fixed)) if input == InputPurpose::StaticTransforms => {
                 self.receive_static_transforms(ClientId::DDS, payload, fixed, now)
             }
-            Ok(Some(message)) => self.receive_dds_world(message, now),
+            Ok(Some(of_world)) => self.receive_dds_world(message.publisher(), of_world, now),
             Ok(None) => {
                 let Some(topic) = self.router.topics.find(message.topic()) else { return };
                 let publication = Publication { topic, stamped: message.is_stamped(), latch: false };
@@ -198,7 +198,7 @@ impl Core {
                 self.apply_stick(id, stick, now)
             }
             InputPurpose::Transforms => {
-                self.receive_transforms(id, publication.topic, self.reader(payload)?, now)
+                self.receive_transforms(id.into(), publication.topic, self.reader(payload)?, now)
             }
             InputPurpose::StaticTransforms => {
                 let fixed = Incoming::StaticTransforms(None, self.reader(payload)?);
@@ -210,7 +210,7 @@ impl Core {
             | InputPurpose::RobotStaticTransforms(_)
             | InputPurpose::Clock => {
                 let message = world_message(input, self.reader(payload)?);
-                message.map_or(Ok(()), |message| self.receive_world(id, message, now))
+                message.map_or(Ok(()), |message| self.receive_world(id.into(), message, now))
             }
             InputPurpose::InitialPose(robot) => Ok(self.request_initial_pose(robot, &self.decode(payload)?)?),
             InputPurpose::SelectRobot => {

@@ -5,43 +5,64 @@ use super::input::InputError;
 use crate::fleet_topics::FleetTopic;
 use crate::input::InputPurpose;
 use crate::router::{ClientId, TopicId};
-use crate::world::{DDS_SOURCE, Incoming, SourceId, WorldInput};
+use crate::world::{DDS_SOURCE, Incoming, PublisherId, Sender, WorldInput};
 use msg::Monotonic;
 use ros_messages::cdr::Reader;
 use ros_messages::names::RobotNames;
 use ros_messages::read::{self, Transform};
 use ros_messages::write;
 
+/// Who sent sensor data: a client, or a publisher on DDS.
+#[derive(Clone, Copy)]
+pub(super) struct WorldSender {
+    client: ClientId,
+    publisher: Option<PublisherId>,
+}
+
+impl From<ClientId> for WorldSender {
+    fn from(client: ClientId) -> Self {
+        Self { client, publisher: None }
+    }
+}
+
+impl WorldSender {
+    /// Returns the same for the external world, which counts all of DDS as one source.
+    fn of_world(self) -> Sender {
+        let source = if self.client == ClientId::DDS { DDS_SOURCE } else { self.client.serial };
+        Sender { source, publisher: self.publisher }
+    }
+}
+
 impl Core {
     /// Takes a message of robots on DDS.
     pub(super) fn receive_dds_world(
         &mut self,
+        publisher: Option<PublisherId>,
         message: Incoming<'_>,
         now: Monotonic,
     ) -> Result<(), InputError> {
+        let sender = WorldSender { client: ClientId::DDS, publisher };
         if self.world.is_none() {
             return Ok(());
         }
         let topic = self.router.topics.find(FleetTopic::Transforms.row().name);
         match (message, topic) {
-            (Incoming::Transforms(from), Some(topic)) => {
-                self.receive_transforms(ClientId::DDS, topic, from, now)
-            }
-            (message, _) => self.receive_world(ClientId::DDS, message, now),
+            (Incoming::Transforms(from), Some(topic)) => self.receive_transforms(sender, topic, from, now),
+            (message, _) => self.receive_world(sender, message, now),
         }
     }
 
     /// Passes a source's sensor data to the external world.
     pub(super) fn receive_world(
         &mut self,
-        id: ClientId,
+        sender: WorldSender,
         message: Incoming<'_>,
         now: Monotonic,
     ) -> Result<(), InputError> {
         let Some(world) = &mut self.world else { return Ok(()) };
-        let result = world.receive(source_of(id), message, now);
-        if let Some(step_s) = world.take_clock_step(source_of(id)) {
-            self.report_clock_step(id, step_s);
+        let result = world.receive(sender.of_world(), message, now);
+        if let Some(step_s) = world.take_clock_step(sender.of_world().source) {
+            self.report_clock_step(sender.client, step_s);
         }
         while let Some(notice) = self.world.as_mut().and_then(WorldInput::take_notice) {
             self.report(notice);
@@ -57,7 +78,7 @@ impl Core {
         message: Incoming<'_>,
         now: Monotonic,
     ) -> Result<(), InputError> {
-        self.receive_world(id, message, now)?;
+        self.receive_world(id.into(), message, now)?;
         Ok(self.fleet.receive_static_transforms(&mut self.router, payload)?)
     }
 
@@ -66,7 +87,7 @@ impl Core {
     /// Refused transforms are left out, and the others are taken; the error is the first one's.
     pub(super) fn receive_transforms(
         &mut self,
-        id: ClientId,
+        sender: WorldSender,
         topic: TopicId,
         from: Reader<'_>,
         now: Monotonic,
@@ -82,7 +103,7 @@ impl Core {
             }
         })?;
         if self.world.is_some() {
-            result = self.receive_world(id, Incoming::Transforms(from.clone()), now);
+            result = self.receive_world(sender, Incoming::Transforms(from.clone()), now);
         }
         if foreign > 0 {
             let world = self.world.as_ref();
@@ -90,8 +111,9 @@ impl Core {
                 to.count(foreign);
                 let reread = read::transforms(&mut from.clone(), |transform| {
                     if is_foreign(&transform, &robots) {
-                        let stamp =
-                            world.map_or(transform.stamp, |w| w.translate(source_of(id), transform.stamp));
+                        let stamp = world.map_or(transform.stamp, |w| {
+                            w.translate(sender.of_world().source, transform.stamp)
+                        });
                         let (frame, child) = (transform.frame_id, transform.child_frame_id);
                         write::transform(to, stamp, frame, child, transform.translation, transform.rotation);
                     }
@@ -101,11 +123,6 @@ impl Core {
         }
         result
     }
-}
-
-/// Returns the world's number of a client, or of all of DDS.
-fn source_of(id: ClientId) -> SourceId {
-    if id == ClientId::DDS { DDS_SOURCE } else { id.serial }
 }
 
 /// Returns the message to the external world that an input is, if it is one.

@@ -179,7 +179,8 @@ impl DdsEndpoint {
                     if writer.prefix == own {
                         continue;
                     }
-                    let message = input.message(sample.into_value().0.to_vec());
+                    let message =
+                        input.message(sample.into_value().0.to_vec()).with_publisher(writer.to_bytes());
                     endpoint.state.borrow_mut().record(&message, writer);
                     endpoint.queues.send_event(RosEvent::Input(message));
                 }

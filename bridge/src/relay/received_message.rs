@@ -1,6 +1,7 @@
 //! A message from DDS for the fleet.
 
 use crate::input::InputPurpose;
+use crate::world::PublisherId;
 
 /// A message from DDS on a topic of the fleet, not decoded yet.
 #[derive(Clone, Debug)]
@@ -9,12 +10,23 @@ pub struct ReceivedMessage {
     topic: String,
     is_stamped: bool,
     payload: Vec<u8>,
+    publisher: Option<PublisherId>,
 }
 
 impl ReceivedMessage {
     /// Creates a message; the parameters are what the methods return.
     pub(crate) fn new(input: InputPurpose, topic: String, is_stamped: bool, payload: Vec<u8>) -> Self {
-        Self { input, topic, is_stamped, payload }
+        Self { input, topic, is_stamped, payload, publisher: None }
+    }
+
+    /// Returns the message with its publisher.
+    pub(crate) fn with_publisher(self, publisher: PublisherId) -> Self {
+        Self { publisher: Some(publisher), ..self }
+    }
+
+    /// Returns who published the message.
+    pub(crate) fn publisher(&self) -> Option<PublisherId> {
+        self.publisher
     }
 
     /// Returns whether the message is the time of an external world.

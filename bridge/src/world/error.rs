@@ -1,6 +1,6 @@
 //! Why a message of an external world is refused.
 
-use super::{MountError, OutlierError, SOURCE_TIMEOUT_S, ScanError, TransformError};
+use super::{MountError, OutlierError, RobotTopic, SOURCE_TIMEOUT_S, ScanError, TransformError};
 use ros_messages::cdr::DecodeError;
 use thiserror::Error;
 
@@ -44,6 +44,17 @@ pub enum WorldError {
     OtherSource {
         /// A robot, or the clock.
         what: String,
+    },
+    /// Two publishers on DDS send for one robot at once.
+    #[error(
+        "{robot}: its {} from two publishers at once and nothing of them is taken: two robots, or two drivers, have \
+         one name. Give each robot a namespace of its own, or stop one of them", .topic.text()
+    )]
+    SeveralPublishers {
+        /// The robot that they send for.
+        robot: msg::RobotId,
+        /// What they send.
+        topic: RobotTopic,
     },
     /// The transform map -> odom belongs to SLAM (REP-105).
     #[error(

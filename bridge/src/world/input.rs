@@ -1,6 +1,6 @@
 //! The external world as a part of the bridge: it keeps a clock for each source and converts their time.
 
-use super::{ClockEstimate, ClockOffset, ExternalWorld, Incoming, SourceClock, SourceId, WorldError};
+use super::{ClockEstimate, ClockOffset, ExternalWorld, Incoming, Sender, SourceClock, SourceId, WorldError};
 use msg::{Monotonic, Stamp};
 use std::collections::BTreeMap;
 
@@ -32,13 +32,13 @@ impl WorldInput {
     /// Takes a message of a source.
     pub fn receive(
         &mut self,
-        source: SourceId,
+        sender: Sender,
         message: Incoming<'_>,
         now: Monotonic,
     ) -> Result<(), WorldError> {
         let clock_offset = self.clock_offset;
-        let clock = self.clocks.entry(source).or_insert_with(|| SourceClock::new(clock_offset));
-        self.world.receive(source, clock, message, (self.stamp_at)(now))
+        let clock = self.clocks.entry(sender.source).or_insert_with(|| SourceClock::new(clock_offset));
+        self.world.receive(sender, clock, message, (self.stamp_at)(now))
     }
 
     /// Returns by how many seconds a source's clock was found to be set since the last call.

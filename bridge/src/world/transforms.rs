@@ -1,7 +1,7 @@
 //! The transforms of an external world: the robots' own frames for the fleet's channels, and where their LiDARs are.
 
 use super::checks::check_transform;
-use super::{ExternalWorld, Origin, SourceId, TransformError, WorldError, WorldMessage};
+use super::{ExternalWorld, Origin, RobotTopic, SourceId, TransformError, WorldError, WorldMessage};
 use msg::{RobotFrame, RobotFrameTransform, RobotId, Stamp, TRANSFORMS_MAX};
 use ros_messages::cdr::Reader;
 use ros_messages::names::FleetFrame;
@@ -103,6 +103,9 @@ impl ExternalWorld {
             state.has_footprint |= child_frame == RobotFrame::BaseFootprint;
             if child_frame == RobotFrame::BaseFootprint || !state.has_footprint {
                 state.last_transform = Some(origin.received);
+                if !self.is_of_one_publisher(origin, robot, RobotTopic::OdometryTransform)? {
+                    return Ok(());
+                }
                 self.send_odometry(robot, [transform.stamp, stamp], &parent_from_child, true)
                     .map_err(wrong)?;
             }
