@@ -27,6 +27,9 @@ use tokio::time::{MissedTickBehavior, interval};
 
 /// How often what could not be written is tried again.
 const TICK: Duration = Duration::from_millis(100);
+/// Ticks after which the graph is published once more: 1 s. RustDDS may lose a message that is written while a reader is being matched,
+/// and the graph changes just when a node of others begins.
+const GRAPH_REPEAT_TICKS: u32 = 10;
 
 /// Time in which the disposals of all readers and writers are sent: some hundred datagrams.
 const DISPOSAL: Duration = Duration::from_millis(100);
@@ -68,6 +71,8 @@ struct EndpointState {
     queues: Arc<DdsQueues>,
     /// Whether readers or writers have come or gone that the graph does not show yet.
     is_graph_due: bool,
+    /// Ticks until the graph is published again.
+    graph_repeat_ticks: Option<u32>,
 }
 
 impl DdsEndpoint {
@@ -98,7 +103,7 @@ impl DdsEndpoint {
         let mut publisher = FleetPublisher::new(config.frame_names, &robots, robot_transforms);
         publisher.set_odometry_sigmas(config.odometry_sigmas);
         publisher.set_repetition(dds.repetition());
-        let state = EndpointState {
+        let mut state = EndpointState {
             writers,
             relay: TopicRelay::new(&participant, factory, queues.clone()),
             publisher,
@@ -108,6 +113,7 @@ impl DdsEndpoint {
             last_driver: None,
             queues: queues.clone(),
             is_graph_due: false,
+            graph_repeat_ticks: None,
         };
         state.publish_graph();
         Ok(Self {
@@ -234,12 +240,19 @@ async fn next_tick(interval: &mut Option<tokio::time::Interval>) {
 }
 
 impl EndpointState {
-    /// Publishes which readers and writers the node has.
-    fn publish_graph(&self) {
+    /// Publishes which readers and writers the node has, now and once again later.
+    fn publish_graph(&mut self) {
+        self.announce_graph();
+        self.graph_repeat_ticks = Some(GRAPH_REPEAT_TICKS);
+    }
+
+    /// Publishes which readers and writers the node has. What fails is tried again at the next tick.
+    fn announce_graph(&mut self) {
         let (requests, replies) = self.services.guids();
         let (relay_readers, relay_writers) = self.relay.guids();
         let readers = self.input_guids.iter().copied().chain(requests).chain(relay_readers);
-        self.graph.publish(readers, self.writers.guids().chain(replies).chain(relay_writers));
+        self.is_graph_due =
+            !self.graph.publish(readers, self.writers.guids().chain(replies).chain(relay_writers));
     }
 
     fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) {
@@ -315,6 +328,13 @@ impl EndpointState {
         if std::mem::take(&mut self.is_graph_due) || is_replaced || has_changed {
             self.publish_graph();
         }
+        self.graph_repeat_ticks = match self.graph_repeat_ticks {
+            Some(0) => {
+                self.announce_graph();
+                None
+            }
+            ticks => ticks.map(|ticks| ticks - 1),
+        };
         self.publisher.tick(now, &mut self.writers.sink(now));
     }
 }

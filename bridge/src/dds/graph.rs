@@ -16,6 +16,11 @@ const ANNOUNCEMENTS_MAX: i32 = 8;
 
 /// Longest time that others have to acknowledge that the node has left. On a network they take milliseconds.
 const ACKNOWLEDGMENT_MAX: std::time::Duration = std::time::Duration::from_millis(500);
+/// Period at which an announcement is tried again that the writer has not taken.
+const RETRY_PERIOD: std::time::Duration = std::time::Duration::from_millis(5);
+
+/// RustDDS may lose a message that is written while a reader is being matched, so that it is sent again.
+const FAREWELLS: usize = 2;
 
 /// The source of what `ros2 node list` and `ros2 topic info` show.
 pub struct NodeGraphAnnouncer {
@@ -45,18 +50,20 @@ impl NodeGraphAnnouncer {
         Ok(Self { participant: participant.guid(), node, writer, has_left: Cell::new(false) })
     }
 
-    /// Announces the readers and writers that exist now; nothing once the node has left.
-    pub fn publish(&self, readers: impl Iterator<Item = GUID>, writers: impl Iterator<Item = GUID>) {
+    /// Announces the readers and writers that exist now; nothing once the node has left. Returns whether it is done.
+    ///
+    /// It fails while another participant has not acknowledged what was announced before.
+    #[must_use]
+    pub fn publish(&self, readers: impl Iterator<Item = GUID>, writers: impl Iterator<Item = GUID>) -> bool {
         if self.has_left.get() {
-            return;
+            return true;
         }
         let mut info = NodeEntitiesInfo::new(self.node.clone());
         readers.for_each(|guid| info.add_reader(Gid::from(guid)));
         writers.for_each(|guid| info.add_writer(Gid::from(guid)));
         info.add_writer(Gid::from(self.writer.guid()));
         let message = ParticipantEntitiesInfo::new(Gid::from(self.participant), vec![info]);
-        // The write fails only while a participant does not acknowledge; the next change announces everything again.
-        let _ = self.writer.write(message, None);
+        self.writer.write(message, None).is_ok()
     }
 
     /// Announces that the node is gone, and waits until all participants know it, or for a bounded time.
@@ -64,9 +71,18 @@ impl NodeGraphAnnouncer {
     /// A participant's own message that it leaves may be lost. Then others keep its nodes until its lease ends, 50 s later.
     pub async fn leave(&self) {
         self.has_left.set(true);
-        let _ =
-            self.writer.write(ParticipantEntitiesInfo::new(Gid::from(self.participant), Vec::new()), None);
+        let is_acknowledged = async {
+            let nothing = || ParticipantEntitiesInfo::new(Gid::from(self.participant), Vec::new());
+            for _ in 0..FAREWELLS {
+                // Before that, what was announced last must be acknowledged.
+                while self.writer.write(nothing(), None).is_err() {
+                    tokio::time::sleep(RETRY_PERIOD).await;
+                }
+                let _ = self.writer.async_wait_for_acknowledgments().await;
+                tokio::time::sleep(RETRY_PERIOD).await;
+            }
+        };
         // A participant that has crashed does not acknowledge.
-        let _ = tokio::time::timeout(ACKNOWLEDGMENT_MAX, self.writer.async_wait_for_acknowledgments()).await;
+        let _ = tokio::time::timeout(ACKNOWLEDGMENT_MAX, is_acknowledged).await;
     }
 }
