@@ -7,6 +7,7 @@
 pub mod feeds;
 pub mod live;
 pub mod page;
+mod silence;
 
 pub use live::run;
 

@@ -177,10 +177,16 @@ fn goals_end_with_the_reason_or_when_they_are_cancelled() {
     assert_eq!(scene.velocity(), (0.0, 0.0));
 }
 
-/// Kills the navigation process, or stops it for 2 s, while the robot drives.
+/// The navigation process of a fleet of one; its processes are sim, slam, merge, telemetry, bridge, nav.
+const NAVIGATION: usize = 5;
+
+/// Disturbs the navigation process 8 s after the start, while the robot drives.
 fn disturbed(fault: impl Fn(usize) -> Fault) -> Scene {
-    // The processes of a fleet of one, in their order: sim, slam, merge, telemetry, bridge, nav.
-    let faults = FaultPlan::none().with(Monotonic(8_000_000_000), fault(5));
+    driving(FaultPlan::none().with(Monotonic(8_000_000_000), fault(NAVIGATION)))
+}
+
+/// A robot that drives to a goal, and faults that begin later.
+fn driving(faults: FaultPlan) -> Scene {
     let mut scene = Scene::new(1, faults);
     scene.run(2.0, |_| false);
     scene.send_goal("base_link_1", [1.5, 0.0]);
@@ -216,6 +222,20 @@ fn a_robot_stands_in_time_when_the_navigation_process_hangs() {
         scene.run(0.01, |_| false);
     }
     assert_eq!(scene.velocity(), (0.0, 0.0), "a zero comes 0.3 s after the last command");
+    assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
+}
+
+#[test]
+fn the_state_of_a_navigation_process_that_dies_again_and_again_is_not_shown_for_ever() {
+    // It dies again as soon as it was started, until the pauses between its starts are seconds.
+    let kills = (0..20).map(|k| Monotonic(8_000_000_000 + k * 250_000_000));
+    let faults = kills.fold(FaultPlan::none(), |faults, at| faults.with(at, Fault::Kill(NAVIGATION)));
+    let mut scene = driving(faults);
+    let is_told = |state: &serde_json::Value| {
+        let reason = state["reason"].as_str().unwrap_or_default();
+        state["state"] == "blocked" && state["remaining_m"].is_null() && reason.contains("has not answered")
+    };
+    assert!(scene.run(20.0, is_told), "{}", scene.state);
     assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
 }
 

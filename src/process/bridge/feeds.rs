@@ -1,5 +1,6 @@
 //! Feeds of a transport: each passes the messages of one group of channels on to ros_tcp clients or to DDS.
 
+use super::silence::{SILENT, silent_exploration, silent_navigation};
 use crate::channel::{self, Channel};
 use crate::config::RobotSource;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort};
@@ -59,9 +60,15 @@ pub fn open_feeds<P: Ports + 'static, T: Transport + 'static>(
         forward(ports, transport, &channel::merge_edges(), |to, edges| {
             to.publish(FleetMessage::MergeEdges(&edges_json(edges)));
         })?,
-        forward(ports, transport, &channel::exploration_state(), |to, report| {
-            to.publish(FleetMessage::ExplorationState(report));
-        })?,
+        forward_repeated(
+            ports,
+            transport,
+            &channel::exploration_state(),
+            silent_exploration,
+            |to, report| {
+                to.publish(FleetMessage::ExplorationState(report));
+            },
+        )?,
         forward(ports, transport, &channel::exclusion_zones(), |to, zones| {
             to.publish(FleetMessage::ExclusionZones(zones));
         })?,
@@ -78,7 +85,8 @@ pub fn open_feeds<P: Ports + 'static, T: Transport + 'static>(
         feeds.push(forward(ports, transport, &channel::pose_estimate(robot), move |to, pose_estimate| {
             to.publish(FleetMessage::PoseEstimate(robot, pose_estimate));
         })?);
-        feeds.push(forward(ports, transport, &channel::navigation_state(robot), move |to, report| {
+        let state = channel::navigation_state(robot);
+        feeds.push(forward_repeated(ports, transport, &state, silent_navigation, move |to, report| {
             to.publish(FleetMessage::NavigationState(robot, report));
         })?);
         feeds.push(forward(ports, transport, &channel::plan(robot), move |to, plan| {
@@ -123,6 +131,33 @@ pub fn forward<P: Ports, M: Message, T: 'static>(
             handle(&to, &message);
         }
     })
+}
+
+/// Passes each message of a channel on whose writer repeats some states; what is `silent` of such a state follows when it has not been
+/// repeated for [`SILENT`].
+fn forward_repeated<P: Ports, M: Message, T: 'static>(
+    ports: &P,
+    to: &Rc<T>,
+    channel: &Channel<M>,
+    silent: fn(&M) -> Option<M>,
+    handle: impl Fn(&T, &M) + 'static,
+) -> FeedResult<P> {
+    let mut reader = ports.reader(channel)?;
+    let (to, clock) = (to.clone(), ports.clock());
+    let mut newest: Option<(M, Monotonic)> = None;
+    let step = Box::new(move || {
+        let now = clock.now();
+        while let Some(message) = reader.receive() {
+            handle(&to, &message);
+            newest = silent(&message).map(|silent| (silent, now));
+        }
+        if let Some((silent, _)) = newest.take_if(|(_, since)| now >= *since + SILENT) {
+            handle(&to, &silent);
+        }
+        let poll = now.next_multiple(HISTORY_POLL_PERIOD);
+        newest.map_or(poll, |(_, since)| poll.min(since + SILENT))
+    });
+    Ok(Feed { listener: ports.listener(channel)?, step })
 }
 
 /// Calls `handle` at the start, whenever the channel is written, and every `HISTORY_POLL_PERIOD` if the channel has a
