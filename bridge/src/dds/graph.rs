@@ -19,8 +19,8 @@ const ACKNOWLEDGMENT_MAX: std::time::Duration = std::time::Duration::from_millis
 /// Period at which an announcement is tried again that the writer has not taken.
 const RETRY_PERIOD: std::time::Duration = std::time::Duration::from_millis(5);
 
-/// RustDDS may lose a message that is written while a reader is being matched, so that it is sent again.
-const FAREWELLS: usize = 2;
+/// So often it is announced that the node has left: RustDDS may lose a message that is written while a reader is being matched.
+const LEAVE_ANNOUNCEMENTS: usize = 2;
 
 /// The source of what `ros2 node list` and `ros2 topic info` show.
 pub struct NodeGraphAnnouncer {
@@ -73,7 +73,7 @@ impl NodeGraphAnnouncer {
         self.has_left.set(true);
         let is_acknowledged = async {
             let nothing = || ParticipantEntitiesInfo::new(Gid::from(self.participant), Vec::new());
-            for _ in 0..FAREWELLS {
+            for _ in 0..LEAVE_ANNOUNCEMENTS {
                 // Before that, what was announced last must be acknowledged.
                 while self.writer.write(nothing(), None).is_err() {
                     tokio::time::sleep(RETRY_PERIOD).await;

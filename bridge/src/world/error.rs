@@ -48,7 +48,7 @@ pub enum WorldError {
     /// Two publishers on DDS send for one robot at once.
     #[error(
         "{robot}: its {} from two publishers at once and nothing of them is taken: two robots, or two drivers, have \
-         one name. Give each robot a namespace of its own, or stop one of them", .topic.text()
+         one name. Give each robot a namespace of its own, or stop one of them", .topic.subject_and_verb()
     )]
     SeveralPublishers {
         /// The robot that they send for.

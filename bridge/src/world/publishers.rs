@@ -41,7 +41,7 @@ const ROBOT_TOPICS: usize = 3;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     Taken,
-    /// Dropped: the publisher before may have ended, or may send on.
+    /// Dropped until it is known whether the publisher before has ended.
     Waiting,
     /// Dropped: two publishers send at once.
     Mixed,
@@ -101,8 +101,8 @@ impl ExternalWorld {
 }
 
 impl RobotTopic {
-    /// Returns what the operator reads.
-    pub(super) fn text(self) -> &'static str {
+    /// Returns the subject and the verb of the error: what comes from two publishers.
+    pub(super) fn subject_and_verb(self) -> &'static str {
         match self {
             Self::Scan => "scans come",
             Self::Odometry => "odometry comes",

@@ -1,4 +1,4 @@
-//! Runs a test on one thread, for so long at most.
+//! Runs a test on one thread, for 60 s at most.
 
 use std::future::Future;
 use std::time::Duration;
