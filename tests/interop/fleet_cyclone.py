@@ -7,7 +7,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from idl import BEST_EFFORT, LATCHED, RELIABLE, LaserScan, OccupancyGrid, Odometry, TFMessage, Twist, Vector3, take
+from idl import BEST_EFFORT, LATCHED, RELIABLE, Bool, Empty, LaserScan, OccupancyGrid, Odometry, TFMessage, Twist, Vector3, take
 from report import row
 
 
@@ -46,6 +46,7 @@ def main():
         row(f"Cyclone: {name} to a late joiner", "a map", size,
             maps and len(maps[0].data) == maps[0].info.width * maps[0].info.height)
     drive(participant)
+    stop(participant)
 
 
 def drive(participant):
@@ -61,6 +62,21 @@ def drive(participant):
                 end = sample.pose.pose.orientation.z
         writer.write(Twist(zero, zero))
         row(f"Cyclone: /robot2/cmd_vel turns, {label}", "> 0.1", f"{abs(end - start):.3f}", abs(end - start) > 0.1)
+
+
+def stop(participant):
+    """Sets and releases the emergency stop: its state is on the topic of the command."""
+    states = DataReader(participant, Topic(participant, "rt/emergency_stop", Bool), qos=LATCHED)
+    command = DataWriter(participant, Topic(participant, "rt/emergency_stop", Bool), qos=RELIABLE)
+    release = DataWriter(participant, Topic(participant, "rt/emergency_stop_release", Empty), qos=RELIABLE)
+    take(states, 3)
+    seen = []
+    for _ in range(5):
+        command.write(Bool(True))
+        seen += [state.data for state in take(states, 3, enough=1)]
+        release.write(Empty(0))
+        seen += [state.data for state in take(states, 3, enough=1)]
+    row("Cyclone: changes of /emergency_stop", "5 of True, False", f"{len(seen)} changes", seen == [True, False] * 5)
 
 
 main()

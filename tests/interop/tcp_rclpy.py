@@ -81,6 +81,25 @@ def topics(ros, client):
             heard and essence(heard[-1]) == essence(message))
 
 
+def both_ways(ros, client):
+    """A topic that the client publishes and reads itself: ROS gets each message."""
+    name, count = "/interop/both_ways", 200
+    heard = set()
+    ros.node.create_subscription(String, name, lambda message: heard.add(message.data), 10)
+    client.subscribe(name, "std_msgs/String")
+    client.advertise(name, "std_msgs/String")
+    end = time.monotonic() + 15
+    while not heard and time.monotonic() < end:
+        client.publish(name, String(data="first"))
+        ros.spin(0.2)
+    for number in range(count):
+        client.publish(name, String(data=str(number)))
+        ros.spin(0.02)
+    ros.spin(2, lambda: len(heard) > count)
+    got = len(heard - {"first"})
+    row("TCP: a topic that its client reads too, to rclpy", f"{count} messages", f"{got} messages", got == count)
+
+
 def fleets_topics(client):
     def newest(topic, type_name):
         client.subscribe(topic, type_name)
@@ -179,6 +198,7 @@ def main(port):
     rclpy.init()
     ros, client = Ros(), Client(port)
     topics(ros, client)
+    both_ways(ros, client)
     fleets_topics(client)
     tcp_calls_ros(ros, client)
     ros_calls_tcp(ros, client)

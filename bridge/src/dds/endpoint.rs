@@ -90,11 +90,13 @@ impl DdsEndpoint {
         let dds: &DdsConfig = &config.dds;
         let participant = join_domain(dds)?;
         let node = node_name(dds)?;
-        let factory = EntityFactory::new(&participant, node.clone(), &dds.namespace)?;
+        let factory = EntityFactory::new(&participant, node.clone(), dds)?;
         let graph = NodeGraphAnnouncer::new(&participant, factory.publisher(), node);
         let graph = graph.map_err(cannot_create("the node graph"))?;
-        let writers = TopicWriters::open(&factory, &robots, is_external.then_some(dds.velocity))?;
-        let inputs = inputs::topics(&robots, dds.velocity, is_external, config.may_ros_drive())
+        let inputs = inputs::topics(&robots, dds.velocity, is_external, config.may_ros_drive());
+        let writers = TopicWriters::open(&factory, &robots, is_external.then_some(dds.velocity), &inputs)?;
+        // After the writers of the same topics, which would wait for them (`EntityFactory::do_own_readers_acknowledge`).
+        let inputs = inputs
             .into_iter()
             .map(|input| factory.input_reader(&input).map(|reader| (input, reader)))
             .collect::<Result<Vec<_>, EndpointError>>()?;

@@ -109,6 +109,7 @@ pub struct EntityFactory {
     subscriber: Subscriber,
     node: NodeName,
     namespace: String,
+    is_loopback_only: bool,
 }
 
 impl EntityFactory {
@@ -116,13 +117,14 @@ impl EntityFactory {
     pub fn new(
         participant: &DomainParticipant,
         node: NodeName,
-        namespace: &str,
+        config: &DdsConfig,
     ) -> Result<Self, EndpointError> {
         let qos = QosPolicyBuilder::new().build();
         let publisher = participant.create_publisher(&qos).map_err(cannot_create("a publisher"))?;
         let subscriber = participant.create_subscriber(&qos).map_err(cannot_create("a subscriber"))?;
-        let (participant, namespace) = (participant.clone(), namespace.to_owned());
-        Ok(Self { participant, publisher, subscriber, node, namespace })
+        let (participant, namespace) = (participant.clone(), config.namespace.clone());
+        let is_loopback_only = config.is_loopback_only();
+        Ok(Self { participant, publisher, subscriber, node, namespace, is_loopback_only })
     }
 
     /// Returns DDS's publisher, which owns the writers.
@@ -133,6 +135,15 @@ impl EntityFactory {
     /// Returns what stands before the names of all topics but the global ones.
     pub fn namespace(&self) -> &str {
         &self.namespace
+    }
+
+    /// Returns whether a reliable reader acknowledges what a writer of the same participant sends.
+    ///
+    /// RustDDS 0.15 sends to a loopback address only if its participant was heard from one, and a participant does not hear
+    /// itself. On loopback alone a reliable writer waits in vain for a reader that was there before it, and nobody gets its
+    /// messages meanwhile. It does not know one that is opened later.
+    pub fn do_own_readers_acknowledge(&self) -> bool {
+        !self.is_loopback_only
     }
 
     /// Creates a topic by its ROS name and `package/Type`.
@@ -160,6 +171,17 @@ impl EntityFactory {
     ) -> Result<TopicWriter, EndpointError> {
         let topic = self.topic(name, message_type, &qos)?;
         TopicWriter::new(&self.publisher, topic, qos).map_err(cannot_create(name))
+    }
+
+    /// Creates the writer of a topic that is on DDS from the next tick on.
+    pub fn unopened_topic_writer(
+        &self,
+        name: &str,
+        message_type: &str,
+        qos: QosPolicies,
+    ) -> Result<TopicWriter, EndpointError> {
+        let topic = self.topic(name, message_type, &qos)?;
+        Ok(TopicWriter::unopened(&self.publisher, topic, qos))
     }
 
     /// Creates the reader of an input topic.

@@ -121,9 +121,15 @@ impl TopicRelay {
                 let name = format!("{}{topic}", self.factory.namespace());
                 // The old writer goes first: a reader must not get two.
                 self.writers.remove(&topic);
-                self.writers.insert(topic, self.factory.topic_writer(&name, &message_type, qos)?);
+                // A reader that it would wait for in vain is closed by then: see `matching_qos`.
+                let writer = self.factory.unopened_topic_writer(&name, &message_type, qos)?;
+                self.writers.insert(topic, writer);
+                self.match_readers();
             }
-            RosCommand::Unadvertise { topic } => drop(self.writers.remove(&topic)),
+            RosCommand::Unadvertise { topic } => {
+                drop(self.writers.remove(&topic));
+                self.match_readers();
+            }
             // Those of services are not for this relay.
             _ => return Ok((None, false)),
         }
@@ -138,8 +144,12 @@ impl TopicRelay {
         Ok(())
     }
 
-    /// Returns the most that every writer of the topic and type offers.
+    /// Returns the most that every writer of the topic and type offers; best effort beside an own writer that would wait for the
+    /// reader in vain.
     fn matching_qos(&self, topic: &str, message_type: &str) -> ReaderQos {
+        if self.writers.contains_key(topic) && !self.factory.do_own_readers_acknowledge() {
+            return ReaderQos { is_reliable: false, is_latched: false };
+        }
         let of_type = self.remote.publishers(topic).filter(|(_, writer)| writer.ros_type == message_type);
         let mut offers = of_type.filter_map(|(_, writer)| writer.offer()).peekable();
         let is_known = offers.peek().is_some();

@@ -19,6 +19,8 @@ const BLOCKED_MAX: std::time::Duration = std::time::Duration::from_secs(10);
 /// RustDDS repairs lost messages five times in this time, 8 times faster than without a deadline. It has no other
 /// effect here.
 const REPAIR_DEADLINE: Duration = Duration::from_millis(5);
+/// Messages of a latched topic that wait for an own reader which never acknowledges, before a new writer is opened.
+const OWN_READER_MESSAGES: i32 = 64;
 /// The newest messages of a stream that are repaired for a reader that lost them.
 const STREAM_HISTORY: i32 = 10;
 
@@ -39,12 +41,25 @@ pub fn stream_qos(depth: usize) -> QosPolicies {
 ///
 /// The newest message is kept for late readers; the next is written when all readers have the one before.
 pub fn latched_qos() -> QosPolicies {
+    latched_qos_with(1)
+}
+
+/// Returns the quality of service of a latched topic that the endpoint itself reads, and that seldom changes.
+///
+/// The next message is written at once: the own reader may never acknowledge
+/// ([`EntityFactory::do_own_readers_acknowledge`](super::entities::EntityFactory::do_own_readers_acknowledge)).
+pub fn latched_qos_beside_own_reader() -> QosPolicies {
+    latched_qos_with(OWN_READER_MESSAGES)
+}
+
+/// A latched topic of which this many messages may wait for an acknowledgement.
+fn latched_qos_with(messages: i32) -> QosPolicies {
     QosPolicyBuilder::new()
         .reliable(Duration::ZERO)
         .durability(Durability::TransientLocal)
         .history(History::KeepLast { depth: 1 })
         .deadline(Deadline(REPAIR_DEADLINE))
-        .resource_limits(limits(1))
+        .resource_limits(limits(messages))
         .build()
 }
 
@@ -107,7 +122,7 @@ pub struct TopicWriter {
     publisher: Publisher,
     topic: Topic,
     qos: QosPolicies,
-    /// None if RustDDS could not create it; it is tried again with each tick.
+    /// None if it is not opened yet, or RustDDS could not create it; it is tried with each tick.
     writer: Option<RawWriter>,
     readers: BTreeSet<GUID>,
     latched: Option<Latched>,
@@ -119,18 +134,24 @@ pub struct TopicWriter {
 impl TopicWriter {
     /// Creates the writer of a stream, or of a latched topic if the quality of service is transient local.
     pub fn new(publisher: &Publisher, topic: Topic, qos: QosPolicies) -> CreateResult<Self> {
-        let writer = publisher.create_datawriter_no_key(&topic, Some(qos.clone()))?;
+        let mut writer = Self::unopened(publisher, topic, qos);
+        writer.replace_writer()?;
+        Ok(writer)
+    }
+
+    /// Creates the writer of a topic that is on DDS from the next [`Self::retry`] on.
+    pub fn unopened(publisher: &Publisher, topic: Topic, qos: QosPolicies) -> Self {
         let is_latched = qos.durability() == Some(Durability::TransientLocal);
-        Ok(Self {
+        Self {
             publisher: publisher.clone(),
             topic,
             qos,
-            writer: Some(writer),
+            writer: None,
             readers: BTreeSet::new(),
             latched: is_latched.then(Latched::default),
             blocked_since: None,
             last_bytes: 0,
-        })
+        }
     }
 
     /// Returns the identifier of the present writer.
@@ -171,9 +192,16 @@ impl TopicWriter {
         self.latched.as_ref()?.newest.clone()
     }
 
-    /// Writes the newest message of a latched topic, if there is a reader and all have taken the one before.
+    /// Writes the newest message of a latched topic, if there is a reader, and all have taken those before or these may wait.
     fn write_latched(&mut self, now: Monotonic) {
         let Some(latched) = &self.latched else { return };
+        let messages_max = self.qos.resource_limits().map_or(1, |limits| limits.max_samples);
+        let is_full = messages_max > 1 && latched.written >= messages_max as u64;
+        if latched.is_due && is_full {
+            // The readers are matched with the new one, which then writes the message. One that cannot be created is tried again.
+            let _ = self.replace_writer();
+            return;
+        }
         let Some(bytes) = latched.newest.clone().filter(|_| latched.is_due && !self.readers.is_empty())
         else {
             return;

@@ -2,7 +2,10 @@
 
 use super::endpoint::DdsCounters;
 use super::entities::{EndpointError, EntityFactory};
-use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
+use super::inputs::InputTopic;
+use super::topic_writer::{
+    self, TopicWriter, WriteOutcome, latched_qos, latched_qos_beside_own_reader, stream_qos,
+};
 use crate::config::VelocityMessage;
 use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
 use msg::{Monotonic, RobotFrame, RobotId, VelocityCommand};
@@ -25,11 +28,13 @@ pub struct TopicWriters {
 }
 
 impl TopicWriters {
-    /// Creates the writers of a fleet. `velocity`: the robots are external, and get velocities of this type.
+    /// Creates the writers of a fleet. `velocity`: the robots are external, and get velocities of this type. `inputs`: the topics
+    /// that the endpoint reads.
     pub fn open(
         factory: &EntityFactory,
         robots: &RobotNames,
         velocity: Option<VelocityMessage>,
+        inputs: &[InputTopic],
     ) -> Result<Self, EndpointError> {
         let mut all = Self {
             writers: Vec::new(),
@@ -39,7 +44,7 @@ impl TopicWriters {
         };
         let is_external = velocity.is_some();
         for row in OUTGOING_TOPICS.iter().filter(|row| row.is_on_dds(is_external)) {
-            all.by_topic[row.topic as usize] = all.open_topic(factory, row, robots)?;
+            all.by_topic[row.topic as usize] = all.open_topic(factory, row, robots, inputs)?;
         }
         let Some(velocity) = velocity else { return Ok(all) };
         for robot in robots.robots() {
@@ -60,16 +65,21 @@ impl TopicWriters {
         factory: &EntityFactory,
         row: &OutgoingTopic,
         robots: &RobotNames,
+        inputs: &[InputTopic],
     ) -> Result<Vec<usize>, EndpointError> {
         // The bridge's states have no channel: their writers are opened when the first comes.
         let Some(delivery) = row.dds.filter(|_| !row.channel.is_empty()) else { return Ok(Vec::new()) };
+        let names = row.names(robots);
         let qos = match delivery {
+            Delivery::Latched if inputs.iter().any(|input| names.contains(&input.name)) => {
+                latched_qos_beside_own_reader()
+            }
             Delivery::Latched => latched_qos(),
             stream => stream_qos(stream.depth(robots.count())),
         };
         let namespace = if row.is_global() { "" } else { factory.namespace() };
         let mut indices = Vec::new();
-        for name in row.names(robots) {
+        for name in names {
             let name = format!("{namespace}{name}");
             indices.push(self.writers.len());
             self.writers.push(factory.topic_writer(&name, row.message_type, qos.clone())?);
@@ -137,7 +147,9 @@ impl TopicWriters {
         let Some(topic) = states.into_iter().find(|topic| topic.row().name == name) else { return Ok(false) };
         if self.by_topic[topic as usize].is_empty() {
             let name = format!("{}{name}", factory.namespace());
-            let writer = factory.topic_writer(&name, topic.row().message_type, latched_qos())?;
+            // Both are read as commands.
+            let qos = latched_qos_beside_own_reader();
+            let writer = factory.topic_writer(&name, topic.row().message_type, qos)?;
             self.by_topic[topic as usize].push(self.writers.len());
             self.writers.push(writer);
         }
