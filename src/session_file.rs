@@ -4,9 +4,9 @@
 
 use formats::atomic;
 use formats::map_file::{MapFileError, read_map};
+use formats::regular;
 use slam::session::BYTES_MAX;
 use slam::{Session, SessionError, SessionIdentity, SlamConfig};
-use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -51,7 +51,7 @@ pub fn write(path: &Path, session: &Session) -> Result<(), SessionFileError> {
 pub fn read(path: &Path, identity: &SessionIdentity) -> Result<Session, SessionFileError> {
     let fail = |source| SessionFileError::Io { file: path.to_owned(), source };
     let mut bytes = Vec::new();
-    File::open(path)
+    regular::open(path)
         .and_then(|file| file.take(BYTES_MAX as u64 + 1).read_to_end(&mut bytes))
         .map_err(fail)?;
     Session::decode(&bytes, identity).map_err(|why| SessionFileError::Content { file: path.to_owned(), why })

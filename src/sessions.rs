@@ -179,6 +179,17 @@ pub fn create_folder(
     let real = |path: &Path| path.canonicalize().ok();
     let is_continued = begin_with.and_then(real).is_some_and(|begun| real(folder) == Some(begun));
     set_aside(folder, if is_continued { known.len() } else { 0 })?;
+    write_starts(folder, known, is_own_frame)
+}
+
+/// Returns whether a run's folder for sessions has the file that says where its maps lie.
+pub fn has_starts(folder: &Path) -> bool {
+    folder.join(STARTS).exists()
+}
+
+/// Writes the poses of the robots' maps that are known into a folder for sessions, which is made if need be. The maps may be in a
+/// frame of their own (`is_own_frame`), see [`have_own_frame`].
+pub fn write_starts(folder: &Path, known: &[Option<Pose2>], is_own_frame: bool) -> Result<(), SessionsError> {
     let path = folder.join(STARTS);
     let named = RobotId::first(known.len()).zip(known);
     let starts: Starts = named

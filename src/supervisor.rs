@@ -4,6 +4,7 @@
 //! like one that died.
 
 use crate::clock::{RESTARTS_VARIABLE, now};
+use crate::fleet;
 use crate::process::control::saved_state::{latch_stop, stop_file};
 use crate::processes::ProcessRow;
 use crate::progress::{self, ProgressBoard, WatchedThread};
@@ -13,7 +14,7 @@ use crate::runtime_folder::Lock;
 use crate::sessions;
 use crate::shared_memory::{SHARED_MEMORY, close_descriptors_on_exec};
 use crate::storage::DiskStorage;
-use crate::watchdog::{Finding, ThreadState, Watchdog};
+use crate::watchdog::{Finding, Watchdog};
 use msg::{Monotonic, Pose2, RobotId, Role};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io;
@@ -27,8 +28,8 @@ use std::time::{Duration, Instant};
 /// How long a child may take to end when asked, before it is killed. The whole fleet ends within
 /// 5 s, of which the maps' writing takes some.
 const END_GRACE: Duration = Duration::from_secs(2);
-/// The same for the recorder, which writes what waits for a slow disk.
-const RECORDER_END_GRACE: Duration = Duration::from_secs(20);
+/// The same for the recorder and SLAM, which write what waits for a slow disk.
+const WRITER_END_GRACE: Duration = Duration::from_secs(20);
 /// Longest time until a process's first pass of its loop: it reads its room and its session.
 pub(crate) const START_MAX: Duration = Duration::from_secs(10);
 /// Longest time without a pass of a process's second thread, which computes for long.
@@ -68,6 +69,8 @@ pub struct Supervisor {
     members: Vec<Member>,
     progress: ProgressBoard,
     folder: RunFolder,
+    /// Why the robots' starts, which were gone, could not be written again.
+    starts_error: Option<String>,
 }
 
 /// What has become of the run's folder.
@@ -92,7 +95,8 @@ impl Supervisor {
         let members: Vec<Member> = members.collect();
         let progress = ProgressBoard::create(&run.domain, members.len())?;
         let folder = RunFolder::Original;
-        let mut supervisor = Self { run: run.clone(), listener, members, progress, folder };
+        let mut supervisor =
+            Self { run: run.clone(), listener, members, progress, folder, starts_error: None };
         supervisor.tend(&mut |_, _| None, &mut |_| {});
         let missing = supervisor.members.iter().find(|member| member.child.is_none()).map(Member::name);
         match missing {
@@ -108,6 +112,7 @@ impl Supervisor {
     /// where it was `last_seen`. `tell` is called with each event.
     pub fn tend(&mut self, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
         self.keep_folder(tell);
+        self.keep_starts(tell);
         let mut died = false;
         for member in &mut self.members {
             died |= notice_death(member, tell);
@@ -133,11 +138,6 @@ impl Supervisor {
                     "the run's folder {dir} was moved or deleted and is made anew, without what was saved there; \
                      a bridge that is started again stops the robots"
                 ));
-                // SLAM goes on saving its maps there.
-                let sessions = sessions::folder(&self.run);
-                if let Err(why) = std::fs::create_dir_all(&sessions) {
-                    tell(format!("maps are not saved: {}: {why}", sessions.display()));
-                }
                 self.folder = RunFolder::Restored { _lock: lock };
             }
             Err(why) => {
@@ -147,6 +147,33 @@ impl Supervisor {
                     ));
                 }
                 self.folder = RunFolder::Missing;
+            }
+        }
+    }
+
+    /// Writes the robots' starts again if they are gone, with the folder for sessions: without them a later run does not know how the
+    /// maps lie to each other.
+    fn keep_starts(&mut self, tell: &mut dyn FnMut(String)) {
+        let folder = sessions::folder(&self.run);
+        if sessions::has_starts(&folder) {
+            self.starts_error = None;
+            return;
+        }
+        let config = &self.run.config;
+        let written = fleet::known_starts(config)
+            .and_then(|known| Ok(sessions::write_starts(&folder, &known, fleet::has_own_frame(config))?));
+        let dir = folder.display();
+        match written {
+            Ok(()) => tell(format!(
+                "the robots' starts in {dir} were moved or deleted and are written again; sessions that are gone, too, \
+                 come back with the next change of their map, or at the end"
+            )),
+            Err(why) => {
+                let why = why.to_string();
+                if self.starts_error.as_ref() != Some(&why) {
+                    tell(format!("sessions in {dir} are not complete: {why}; it is tried again"));
+                }
+                self.starts_error = Some(why);
             }
         }
     }
@@ -184,7 +211,7 @@ impl Supervisor {
                     Some(name) => format!("the {name} thread of the {}", member.row.title(member.robot)),
                     None => format!("the {}", member.row.title(member.robot)),
                 };
-                tell(describe_finding(&who, finding));
+                tell(format!("{who} {finding}"));
                 if matches!(finding, Finding::Hung { .. }) {
                     let _ = child.kill();
                     break;
@@ -249,13 +276,19 @@ impl Supervisor {
         self.members.iter().filter(|member| member.is_given_up).map(Member::name).collect()
     }
 
-    /// Asks every child to end, kills those that do not, and removes the run's shared memory. Returns what a killed recorder lost.
-    pub fn end(&mut self) -> Option<String> {
+    /// Asks every child to end, kills those that do not, and removes the run's shared memory. Returns what is not saved.
+    pub fn end(&mut self) -> Vec<String> {
         let children = || self.members.iter().filter_map(|member| member.child.as_ref());
         children().for_each(|child| signal(child, Signal::TERM));
-        let (asked, mut lost) = (Instant::now(), None);
+        let (asked, mut lost) = (Instant::now(), Vec::new());
         for member in &mut self.members {
-            let grace = if member.row.role == Role::Record { RECORDER_END_GRACE } else { END_GRACE };
+            let (role, ending) = (member.row.role, "the end of the recording is missing");
+            let saves = match role {
+                Role::Record => Some(ending),
+                Role::Slam => Some("its last map is not saved"),
+                _ => None,
+            };
+            let grace = if saves.is_some() { WRITER_END_GRACE } else { END_GRACE };
             let name = member.name();
             let Some(child) = member.child.as_mut() else { continue };
             while matches!(child.try_wait(), Ok(None)) && asked.elapsed() < grace {
@@ -264,12 +297,14 @@ impl Supervisor {
             if matches!(child.try_wait(), Ok(None)) {
                 let text = format!("the {name} had not ended after {} s and was killed", grace.as_secs());
                 tracing::warn!("{text}");
-                if member.row.role == Role::Record {
-                    lost = Some(format!("{text}: the end of the recording is missing"));
-                }
+                lost.extend(saves.map(|saves| format!("{text}: {saves}")));
             }
             let _ = child.kill();
-            let _ = child.wait();
+            let status = child.wait();
+            if role == Role::Record && !status.is_ok_and(|status| status.success() || status.code().is_none())
+            {
+                lost.push(format!("the {name} failed: {ending}"));
+            }
         }
         self.run.domain.remove();
         lost
@@ -288,24 +323,6 @@ fn start_rank(role: Role) -> u8 {
 
 fn watchdogs(row: &ProcessRow, now: Monotonic) -> [Watchdog; WatchedThread::COUNT] {
     [row.silence_max, SECOND_SILENCE_MAX].map(|silence_max| Watchdog::new(START_MAX, silence_max, now))
-}
-
-/// Describes a finding of the watchdog about `who`.
-pub(crate) fn describe_finding(who: &str, finding: Finding) -> String {
-    match finding {
-        Finding::Slow { silence } => {
-            format!("{who} has not answered for {:.1} s but works; left alone", silence.as_secs_f64())
-        }
-        Finding::Recovered { silence } => format!("{who} answers again after {:.1} s", silence.as_secs_f64()),
-        Finding::Hung { silence, state } => {
-            let why = match state {
-                ThreadState::Stopped => "stopped by a signal",
-                ThreadState::Sleeping => "blocked",
-                _ => "computes without end",
-            };
-            format!("{who} has not answered for {:.1} s ({why}): replaced", silence.as_secs_f64())
-        }
-    }
 }
 
 fn notice_death(member: &mut Member, tell: &mut dyn FnMut(String)) -> bool {

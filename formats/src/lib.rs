@@ -18,4 +18,5 @@ pub mod gzip;
 pub mod limited;
 pub mod map_file;
 pub mod overwriting;
+pub mod regular;
 pub mod tum;

@@ -9,7 +9,7 @@ mod picture;
 
 pub use picture::{Picture, Rgb, encode_grey_png};
 
-use crate::atomic;
+use crate::{atomic, regular};
 use image::{Pixels, decode_image, read_image};
 use msg::grid::{self, LOG_ODDS_MAX, LOG_ODDS_PER_STEP, MAP_CELLS_MAX, Occupancy, UNKNOWN, occupancy};
 use msg::{Grid, GridHeader, GridView, Pose2};
@@ -212,7 +212,7 @@ enum Mode {
 
 fn read_description(yaml: &Path) -> Result<Description, MapFileError> {
     let mut text = String::new();
-    let file = File::open(yaml).map_err(MapFileError::io(yaml))?;
+    let file = regular::open(yaml).map_err(MapFileError::io(yaml))?;
     file.take(YAML_BYTES_MAX + 1).read_to_string(&mut text).map_err(MapFileError::io(yaml))?;
     if text.len() as u64 > YAML_BYTES_MAX {
         return Err(MapFileError::content(

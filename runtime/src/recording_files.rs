@@ -2,6 +2,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -68,6 +69,8 @@ enum FileError {
     Io { path: PathBuf, source: io::Error },
     #[error("{path}: {free_mb} MB of disk are left, and {keep_mb} MB are kept for maps and report")]
     DiskFull { path: PathBuf, free_mb: u64, keep_mb: u64 },
+    #[error("{path} was moved or deleted while it was written: what was recorded until then went with it")]
+    Gone { path: PathBuf },
 }
 
 /// Files of a recording, by their first name: `NAME.mcap`, `NAME_1.mcap` and so on. None is overwritten.
@@ -145,6 +148,11 @@ impl RecordingFiles {
 
     fn write(&mut self, bytes: &[u8]) -> Result<(), FileError> {
         let Some((path, file)) = &mut self.file else { return Ok(()) };
+        let here = std::fs::metadata(&*path).ok().map(|kind| (kind.dev(), kind.ino()));
+        let written = file.metadata().ok().map(|kind| (kind.dev(), kind.ino()));
+        if here != written {
+            return Err(FileError::Gone { path: path.clone() });
+        }
         // A system that does not say how much is free writes until it fails.
         if let Ok(disk) = rustix::fs::fstatvfs(&*file) {
             let free = disk.f_bavail.saturating_mul(disk.f_frsize);

@@ -2,6 +2,7 @@
 
 use formats::atomic::write_durably;
 use formats::map_file::{self, MapFileError};
+use formats::regular;
 use msg::{Grid, GridView};
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -33,7 +34,7 @@ pub struct DiskStorage;
 impl Storage for DiskStorage {
     fn read(&self, path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
-        File::open(path)?.take(bytes_max.saturating_add(1)).read_to_end(&mut bytes)?;
+        regular::open(path)?.take(bytes_max.saturating_add(1)).read_to_end(&mut bytes)?;
         if bytes.len() as u64 > bytes_max {
             return Err(io::Error::other(format!("is longer than {bytes_max} bytes")));
         }

@@ -5,6 +5,7 @@
 //! computes, waits for a processor or for the disk is slow, and is left alone.
 
 use msg::Monotonic;
+use std::fmt;
 use std::time::Duration;
 
 /// Longest time that one poll adds to a silence. When the watcher itself was stopped, or the whole machine was frozen,
@@ -62,6 +63,26 @@ pub enum Finding {
         /// State in which it hangs.
         state: ThreadState,
     },
+}
+
+/// What a thread has or has not done, to follow its name.
+impl fmt::Display for Finding {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Slow { silence } => {
+                write!(to, "has not answered for {:.1} s but works; left alone", silence.as_secs_f64())
+            }
+            Self::Recovered { silence } => write!(to, "answers again after {:.1} s", silence.as_secs_f64()),
+            Self::Hung { silence, state } => {
+                let why = match state {
+                    ThreadState::Stopped => "stopped by a signal",
+                    ThreadState::Sleeping => "blocked",
+                    _ => "computes without end",
+                };
+                write!(to, "has not answered for {:.1} s ({why}): replaced", silence.as_secs_f64())
+            }
+        }
+    }
 }
 
 /// Watches one thread.

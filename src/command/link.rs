@@ -9,7 +9,7 @@ use crate::process::link::{LinkReport, REPORT_AGE_MAX};
 use crate::progress;
 use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
 use crate::run::Run;
-use crate::supervisor::{START_MAX, describe_finding};
+use crate::supervisor::START_MAX;
 use crate::watchdog::{Finding, Watchdog};
 use link_transport::Endpoint;
 use link_transport::keys::{KeyFiles, KeyOwner};
@@ -350,7 +350,7 @@ impl LinkProcess {
         let count = if report.process == id { report.written_ns } else { 0 };
         let finding = self.watchdog.poll(now(), count, || progress::sample(id, id));
         let Some(finding) = finding else { return };
-        tell(describe_finding("the link", finding));
+        tell(format!("the link {finding}"));
         if matches!(finding, Finding::Hung { .. }) {
             // Its end is noticed as any other.
             let _ = child.kill();

@@ -121,7 +121,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     // The folder may have held another run before.
     summary.earlier.retain(|path| !description::is_of_another_run(path, run));
     write_summary(&folder.join(STEM).with_extension("json"), &summary)?;
-    Ok(())
+    // The launcher says that the recording is not whole.
+    summary.ended.map_or(Ok(()), |why| Err(why.into()))
 }
 
 /// Records a running fleet until `over` returns true or the disk is full.
@@ -293,7 +294,8 @@ impl<P: Ports> Recording<P> {
 /// The file cannot be written.
 pub fn write_summary(path: &std::path::Path, summary: &Summary) -> io::Result<()> {
     let json = serde_json::to_vec_pretty(summary)?;
-    formats::atomic::write(path, |file| io::Write::write_all(file, &json))
+    let written = formats::atomic::write(path, |file| io::Write::write_all(file, &json));
+    written.map_err(|why| io::Error::new(why.kind(), format!("cannot write {}: {why}", path.display())))
 }
 
 /// Returns the files of a recording at this path, which must not exist yet.

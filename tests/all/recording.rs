@@ -128,6 +128,31 @@ fn a_full_disk_ends_the_recording_with_a_reason_and_not_the_fleet() {
     assert!(fleet.stats().robots[0].scans > 10, "the fleet goes on");
 }
 
+#[test]
+fn a_file_that_is_moved_or_deleted_ends_the_recording_with_a_reason() {
+    for is_moved in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        let config = config();
+        let mut fleet = Lockstep::new(&config, true).unwrap();
+        let path = folder.path().join("run.mcap");
+        let files = RecordingFiles::new(&path, config.recording.disk_free_bytes());
+        let mut recording = fleet.record(files).unwrap();
+        for tick in 0..900 {
+            if tick == 300 {
+                assert!(!recording.has_ended());
+                match is_moved {
+                    true => std::fs::rename(&path, folder.path().join("moved.mcap")).unwrap(),
+                    false => std::fs::remove_file(&path).unwrap(),
+                }
+            }
+            fleet.tick(&mut |_, _| {});
+            recording.step();
+        }
+        let why = recording.finish().ended.unwrap();
+        assert!(why.contains("run.mcap was moved or deleted"), "{why}");
+    }
+}
+
 /// Returns a guess of a robot's pose at the origin of a frame.
 fn at_the_origin_of(frame: &str) -> PoseWithCovarianceStamped {
     PoseWithCovarianceStamped {

@@ -1,6 +1,7 @@
 //! Reader of a map's image: PGM (binary and plain) and PNG. Sizes are checked before memory is allocated.
 
-use super::{File, MAP_CELLS_MAX, MapFileError, Path, Read};
+use super::{MAP_CELLS_MAX, MapFileError, Path, Read};
+use crate::regular;
 use std::io::{BufRead, BufReader, Seek};
 
 /// Longest PGM header that is read, comments included, bytes.
@@ -17,7 +18,7 @@ pub(super) struct Pixels {
 
 /// Reads a PNG or PGM file.
 pub(super) fn read_image(path: &Path) -> Result<Pixels, MapFileError> {
-    decode_image(path, BufReader::new(File::open(path).map_err(MapFileError::io(path))?))
+    decode_image(path, BufReader::new(regular::open(path).map_err(MapFileError::io(path))?))
 }
 
 /// Decodes a PNG or PGM, told apart by their first bytes; `path` is for errors.

@@ -54,6 +54,12 @@ impl Autosave {
         self.changed && self.every.is_some()
     }
 
+    /// Whether the session is to be saved at the end: also if nothing has changed since it was saved, as the file may have been
+    /// moved or deleted.
+    pub fn is_wanted_at_end(&self) -> bool {
+        (self.changed || self.saved) && self.every.is_some()
+    }
+
     pub fn is_due(&self, now: Monotonic) -> bool {
         self.is_wanted() && !self.busy && now >= self.due
     }

@@ -330,7 +330,7 @@ impl WorkerState {
     /// Saves at the end of the process, with the front end of this number at `state`.
     fn end(&mut self, number: u32, state: &FrontEndState) {
         let same_front = number == self.front_number;
-        if self.autosave.is_wanted() && same_front && !self.back.nodes().is_empty() {
+        if self.autosave.is_wanted_at_end() && same_front && !self.back.nodes().is_empty() {
             let work = FileOperation::Save(self.session_after_log(state));
             // The running save must end first, or the older session would replace the newer one.
             let _ = self.jobs.send(SlamFileJob { request: None, path: self.autosave.path.clone(), work });
