@@ -37,6 +37,7 @@ use msg::{
     Clock, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp, Transforms,
 };
 use publishers::RobotPublishers;
+use restart::Drivers;
 use ros_messages::cdr::Reader;
 use ros_messages::names::RobotNames;
 use ros_messages::read;
@@ -53,6 +54,8 @@ pub enum WorldMessage<'a> {
     Scan(RobotId, &'a Scan),
     /// For `robotK/odometry`; sent before the transforms of the same stamp, which wake the readers.
     Odometry(RobotId, &'a Odometry),
+    /// The driver was started again and counts odometry from a new origin: what follows is of another writer of `robotK/odometry`.
+    OdometryRestart(RobotId),
     /// The robot's own frames, for the channel `robotK/transforms`.
     Transforms(RobotId, &'a Transforms),
     /// The run's time, for the channel `clock`.
@@ -88,6 +91,7 @@ struct RobotState {
     /// Whether odom -> base_footprint was received: base_link, which moves the same, is then not needed.
     has_footprint: bool,
     publishers: RobotPublishers,
+    drivers: Drivers,
 }
 
 /// One message from a source, behind its encapsulation header.
@@ -242,7 +246,7 @@ impl ExternalWorld {
         }
         let state = &self.robots[robot.index()];
         let is_new = state.last_pose.is_none_or(|last| stamp > last.stamp);
-        self.send_odometry(robot, [transform.stamp, stamp], &parent_from_child, false)?;
+        self.send_odometry(origin, robot, [transform.stamp, stamp], &parent_from_child, false)?;
         if is_new {
             let transforms = &mut self.transforms[robot.index()];
             (transforms.header.stamp, transforms.len, transforms.transforms[0]) =
@@ -294,6 +298,7 @@ impl ExternalWorld {
     /// Sends a robot's pose by its wheels, with the velocity since the pose before. The stamps are the source's and the run's.
     fn send_odometry(
         &mut self,
+        origin: &Origin<'_>,
         robot: RobotId,
         [sent, stamp]: [Stamp; 2],
         transform: &RobotFrameTransform,
@@ -301,6 +306,10 @@ impl ExternalWorld {
     ) -> Result<(), TransformError> {
         let odom_from_base = planar_pose(transform)?;
         let state = &mut self.robots[robot.index()];
+        if state.drivers.is_restart(origin.publisher, is_of_transform, &odom_from_base) {
+            state.last_pose = None;
+            (self.sink)(WorldMessage::OdometryRestart(robot));
+        }
         let mut odometry = Odometry { odom_from_base, ..Odometry::default() };
         odometry.header.stamp = stamp;
         if let Some(last) = state.last_pose {

@@ -26,7 +26,7 @@ use crate::path::Path;
 use cooperative::{CooperativeSearch, Reservation, TimedRoute};
 use core::cmp::Reverse;
 use input::RobotPoses;
-use msg::{ROBOTS_MAX, RobotId, Stamp};
+use msg::{ExclusionZone, ROBOTS_MAX, RobotId, Stamp};
 use robot::{OtherRobot, RobotNavigator};
 
 /// Time between two plans of all ways, seconds: robots that turn or brake are soon behind their plans.
@@ -102,6 +102,8 @@ pub struct FleetNavigator {
     search: CooperativeSearch,
     coordinated_at: Option<Stamp>,
     trapped_since: Option<Stamp>,
+    /// The zones that the robots' routes keep out of.
+    zones: Vec<ExclusionZone>,
 }
 
 impl FleetNavigator {
@@ -114,6 +116,7 @@ impl FleetNavigator {
             search: CooperativeSearch::default(),
             coordinated_at: None,
             trapped_since: None,
+            zones: Vec::new(),
         }
     }
 
@@ -201,6 +204,7 @@ impl FleetNavigator {
                 navigator.observe(now, robot, others);
             }
         }
+        self.replace_zones(input.exclusion_zones);
         self.search_one(input);
         let lacks_path = |navigator: &RobotNavigator| {
             navigator.state().is_active() && navigator.has_routes() && !navigator.has_path()
@@ -219,6 +223,15 @@ impl FleetNavigator {
                 }
             };
             self.twists[navigator.robot.index()] = navigator.control(now, robot, others);
+        }
+    }
+
+    /// Takes the zones that hold now. If they have changed, routes may lead through a new one: robots stand until others are found.
+    fn replace_zones(&mut self, zones: &[ExclusionZone]) {
+        if self.zones != zones {
+            self.zones.clear();
+            self.zones.extend_from_slice(zones);
+            self.robots.iter_mut().for_each(RobotNavigator::forget_routes);
         }
     }
 

@@ -62,6 +62,8 @@ pub trait WritePort<T: Message> {
     }
     /// Delivers the history to late readers. Call it regularly on a channel that is rarely written.
     fn refresh(&self);
+    /// Counts messages anew, as another writer would: the source of what it sends was started again.
+    fn begin_anew(&mut self);
 }
 
 /// Reads one channel, oldest message first.
@@ -141,6 +143,10 @@ pub struct MessageSequencer {
     seq: u64,
 }
 
+/// What is added to an incarnation that begins anew: more than there are processes in lockstep, and than two processes' starts can lie
+/// apart by, nanoseconds.
+const ANEW: u64 = 1 << 56;
+
 impl MessageSequencer {
     /// `incarnation` tells this process of the writer from an earlier one.
     pub fn new(incarnation: u64) -> Self {
@@ -151,6 +157,11 @@ impl MessageSequencer {
     pub fn mark(&mut self, header: &mut Header, now: Monotonic) {
         (header.incarnation, header.seq, header.sent) = (self.incarnation, self.seq, now);
         self.seq += 1;
+    }
+
+    /// Counts anew, as the sequencer of a writer that was started again.
+    pub fn begin_anew(&mut self) {
+        (self.incarnation, self.seq) = (self.incarnation.wrapping_add(ANEW), 0);
     }
 
     /// Skips a number, because its message was lost before it was sent.

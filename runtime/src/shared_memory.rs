@@ -17,8 +17,8 @@ use crate::held_signals::HeldSignals;
 use crate::ports::{ChannelError, MessageSequencer, Ports, ReadPort, ReceiveCounts, WritePort};
 use bytemuck::{Pod, TransparentWrapper};
 use iceoryx2::port::listener::Listener as IpcListener;
-use iceoryx2::port::notifier::Notifier;
-use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::notifier::{Notifier, NotifierCreateError};
+use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
@@ -66,6 +66,7 @@ pub fn close_descriptors_on_exec() -> std::io::Result<()> {
 pub struct Participant {
     node: iceoryx2::node::Node<ipc::Service>,
     opener: Opener,
+    domain: Domain,
     run: u64,
 }
 
@@ -79,20 +80,21 @@ impl Participant {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(failed("cannot attach", name))?;
-        Ok(Self { node, opener, run: now().0 })
+        Ok(Self { node, opener, domain: domain.clone(), run: now().0 })
     }
 
     /// Opens a channel to write.
     pub fn writer<T: Message>(&self, channel: &Channel<T>) -> Result<Writer<T>, ChannelError> {
         channel.check(self.opener, Direction::Write)?;
         let _held = HeldSignals::hold();
-        let publisher = self
-            .service(channel)?
-            .publisher_builder()
-            .max_loaned_samples(1)
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create()
-            .map_err(failed("cannot write channel", &channel.name))?;
+        let service = self.service(channel)?;
+        let open = || {
+            let publisher = service.publisher_builder().max_loaned_samples(1);
+            publisher.backpressure_strategy(BackpressureStrategy::DiscardData).create()
+        };
+        let is_full = |why: &_| matches!(why, PublisherCreateError::ExceedsMaxSupportedPublishers);
+        let publisher = self.domain.open_writer(is_full, open);
+        let publisher = publisher.map_err(failed("cannot write channel", &channel.name))?;
         Ok(Writer { publisher, stamper: MessageSequencer::new(self.run), notifier: self.notifier(channel)? })
     }
 
@@ -143,7 +145,9 @@ impl Participant {
         if !channel.row.wakes {
             return Ok(None);
         }
-        let notifier = self.event(channel)?.notifier_builder().create();
+        let event = self.event(channel)?;
+        let is_full = |why: &_| matches!(why, NotifierCreateError::ExceedsMaxSupportedNotifiers);
+        let notifier = self.domain.open_writer(is_full, || event.notifier_builder().create());
         Ok(Some(notifier.map_err(failed("cannot notify the readers of", &channel.name))?))
     }
 
@@ -214,6 +218,9 @@ impl<T: Message> WritePort<T> for Writer<T> {
     }
     fn refresh(&self) {
         Writer::refresh(self);
+    }
+    fn begin_anew(&mut self) {
+        self.stamper.begin_anew();
     }
 }
 

@@ -252,11 +252,8 @@ impl MemoryPorts {
 
     /// Takes the notifications that have come; returns true if there was one.
     pub fn take_notifications(&self) -> bool {
-        let mut any = false;
-        for woken in self.woken.borrow().iter().filter_map(Weak::upgrade) {
-            any |= woken.take();
-        }
-        any
+        let woken = self.woken.borrow();
+        woken.iter().filter_map(Weak::upgrade).filter(|woken| woken.take()).count() > 0
     }
 
     /// Returns whether a notification has come.
@@ -375,6 +372,10 @@ impl<T: Message> WritePort<T> for QueueWriter<T> {
     }
 
     fn refresh(&self) {}
+
+    fn begin_anew(&mut self) {
+        self.stamper.begin_anew();
+    }
 }
 
 /// Reads a queue.

@@ -29,6 +29,7 @@ pub fn open_world<P: Ports + 'static>(ports: &P, run: &Run) -> Result<ExternalWo
     let mut clock = ports.writer(&channel::clock())?;
     Ok(ExternalWorld::new(run.config.robot_names(), move |message| match message {
         WorldMessage::Scan(robot, scan) => robots[robot.index()].scan.send(scan),
+        WorldMessage::OdometryRestart(robot) => robots[robot.index()].odometry.begin_anew(),
         WorldMessage::Odometry(robot, odometry) => robots[robot.index()].odometry.send(odometry),
         WorldMessage::Transforms(robot, transforms) => robots[robot.index()].transforms.send(transforms),
         WorldMessage::Clock(message) => clock.send(message),

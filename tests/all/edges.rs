@@ -91,8 +91,10 @@ fn a_pinned_edge_survives_the_merge_process_and_the_map_does_not_move() {
 #[test]
 fn merged_robots_keep_their_poses_when_the_merge_process_restarts() {
     let mut fleet = Fleet::start("up", &["--robots", "2", "--starts", "unknown"]);
-    fleet.until("the first robot's map", |view| view.robots[0].merged && view.robots[1].scans >= 20);
     let path = fleet.folder.path().join("merge.json");
+    fleet.until("the first robot's map, saved", |view| {
+        view.robots[0].merged && view.robots[1].scans >= 20 && path.exists()
+    });
     let kept = |path: &Path| serde_json::from_slice::<Value>(&std::fs::read(path).unwrap()).unwrap();
     let mut memory = kept(&path);
     let transforms = [0, 1].map(|robot| memory["fleet"]["robots"][robot]["map_from_robot_map"].clone());

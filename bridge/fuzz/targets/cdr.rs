@@ -76,7 +76,7 @@ fn receive(dialect: Dialect, payload: &[u8]) {
             assert!(transforms.transforms().iter().all(|l| all_finite(&l.translation_m) && all_finite(&l.rotation_xyzw)));
         }
         WorldMessage::Scan(_, scan) => assert!(scan.ranges_m().len() >= 2 && scan.angle_increment_rad.is_finite()),
-        WorldMessage::Clock(_) => {}
+        WorldMessage::Clock(_) | WorldMessage::OdometryRestart(_) => {}
     });
     let mut clock = SourceClock::new(ClockOffset::Measured);
     let Ok(from) = Reader::with(dialect, payload) else { return };

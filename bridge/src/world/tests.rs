@@ -29,6 +29,7 @@ fn world() -> (ExternalWorld, Messages) {
                 let (pose, v, w) = (odometry.odom_from_base, odometry.linear_m_s, odometry.angular_rad_s);
                 format!("{robot} odometry {:.2} {:.2} {v:.2} {w:.2}", pose.x_m, pose.yaw_rad)
             }
+            WorldMessage::OdometryRestart(robot) => format!("{robot} odometry begins anew"),
             WorldMessage::Transforms(robot, transforms) => {
                 let names = transforms
                     .transforms()

@@ -106,7 +106,7 @@ impl ExternalWorld {
                 if !self.is_of_one_publisher(origin, robot, RobotTopic::OdometryTransform)? {
                     return Ok(());
                 }
-                self.send_odometry(robot, [transform.stamp, stamp], &parent_from_child, true)
+                self.send_odometry(origin, robot, [transform.stamp, stamp], &parent_from_child, true)
                     .map_err(wrong)?;
             }
         }

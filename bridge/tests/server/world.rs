@@ -19,6 +19,7 @@ fn with_world(config: BridgeConfig, test: impl AsyncFnOnce(&Served, &WorldMessag
         sink.borrow_mut().push(match message {
             WorldMessage::Scan(robot, scan) => (format!("{robot}/scan"), scan.header.stamp),
             WorldMessage::Odometry(robot, odometry) => (format!("{robot}/odometry"), odometry.header.stamp),
+            WorldMessage::OdometryRestart(robot) => (format!("{robot}/odometry restart"), Stamp(0)),
             WorldMessage::Transforms(robot, transforms) => {
                 (format!("{robot}/transforms"), transforms.header.stamp)
             }

@@ -29,6 +29,7 @@ fn external(robots: &[&str]) -> (Bridge, Log) {
             WorldMessage::Odometry(robot, odometry) => {
                 format!("{robot} odometry {:.1}", odometry.odom_from_base.x_m)
             }
+            WorldMessage::OdometryRestart(robot) => format!("{robot} odometry restart"),
             WorldMessage::Transforms(robot, transforms) => format!("{robot} links {}", transforms.len),
             WorldMessage::Clock(_) => "clock".into(),
         });

@@ -208,6 +208,11 @@ impl RobotNavigator {
         self.searched.as_ref().is_none_or(is_old) || has_moved
     }
 
+    /// Forgets the routes: the robot stands until others are found.
+    pub(super) fn forget_routes(&mut self) {
+        (self.searched, self.followed) = (None, None);
+    }
+
     pub(super) fn searched_at(&self) -> Option<Stamp> {
         self.searched.map(|(at, _)| at)
     }

@@ -2,6 +2,7 @@
 
 mod fleet;
 mod place_search;
+mod zones;
 
 use super::*;
 use crate::observation::{BURGER_BASE_FROM_SCAN, MapView, RobotObservation, ScanView};

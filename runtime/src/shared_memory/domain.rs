@@ -9,7 +9,7 @@ use iceoryx2::prelude::*;
 use std::collections::BTreeMap;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path as FsPath, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Folder of the system's shared memory.
 pub const SHARED_MEMORY: &str = "/dev/shm";
@@ -28,6 +28,11 @@ const FOLDER: &str = "ipc";
 const UNLOCKED_AGE_MAX: Duration = Duration::from_secs(60);
 /// Attempts to remove the files of a dead fleet.
 const REMOVALS_MAX: usize = 20;
+/// How long a writer's place may stay taken by a dead process before it counts as a living one's. On a loaded machine the process that
+/// cleans up may take seconds.
+const DEAD_WRITER_MAX: Duration = Duration::from_secs(5);
+/// Pause between two attempts to get that place.
+const DEAD_WRITER_PAUSE: Duration = Duration::from_millis(50);
 /// Pause between two attempts.
 const REMOVAL_PAUSE: Duration = Duration::from_millis(20);
 
@@ -141,6 +146,25 @@ impl Domain {
         });
     }
 
+    /// Opens a writer's port. While all places of its channel are taken, removes what dead processes left and tries again: another
+    /// process may be cleaning up after the writer before.
+    pub(super) fn open_writer<T, E>(
+        &self,
+        is_full: impl Fn(&E) -> bool,
+        open: impl Fn() -> Result<T, E>,
+    ) -> Result<T, E> {
+        let begun = Instant::now();
+        loop {
+            match open() {
+                Err(why) if is_full(&why) && begun.elapsed() < DEAD_WRITER_MAX => {
+                    self.clean_up_after_the_dead();
+                    std::thread::sleep(DEAD_WRITER_PAUSE);
+                }
+                opened => return opened,
+            }
+        }
+    }
+
     /// Removes all files of the run. Call it only when none of its processes lives, observers apart.
     ///
     /// An observer that detaches meanwhile still makes files of its own, so that the removal is repeated until nothing is left.
@@ -187,6 +211,19 @@ impl Domain {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_writer_waits_for_the_place_of_a_dead_one_and_for_nothing_else() {
+        let root = tempfile::tempdir().unwrap();
+        let domain = Domain::new("1_00000000", root.path()).unwrap();
+        let opened = |failures: Vec<&'static str>| {
+            let failures = std::cell::RefCell::new(failures);
+            let open = || failures.borrow_mut().pop().map_or(Ok("open"), Err);
+            (domain.open_writer(|why: &&str| *why == "full", open), failures.take().len())
+        };
+        assert_eq!(opened(vec!["full", "full"]), (Ok("open"), 0));
+        assert_eq!(opened(vec!["full", "broken", "full"]), (Err("broken"), 1));
+    }
 
     #[test]
     fn only_files_of_dead_launchers_are_removed() {

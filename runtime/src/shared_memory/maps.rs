@@ -9,8 +9,9 @@ use crate::ports::{
     ChannelError, MAP_REQUEST_PERIOD, MessageSequencer, ReadMapPort, ReceiveCounts, WriteMapPort,
 };
 use bytemuck::TransparentWrapper;
+use iceoryx2::port::listener::ListenerCreateError;
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
@@ -27,16 +28,19 @@ impl Participant {
     pub fn map_writer(&self, channel: &Channel<PatchHeader>) -> Result<MapWriter, ChannelError> {
         channel.check(self.opener, Direction::Write)?;
         let _held = HeldSignals::hold();
-        let publisher = self
-            .map_service(channel)?
-            .publisher_builder()
-            .max_loaned_samples(1)
-            .initial_max_slice_len(TILES_START)
-            .allocation_strategy(AllocationStrategy::PowerOfTwo)
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create()
-            .map_err(failed("cannot write channel", &channel.name))?;
-        let listener = self.ask_event(channel)?.listener_builder().create();
+        let service = self.map_service(channel)?;
+        let open = || {
+            let publisher =
+                service.publisher_builder().max_loaned_samples(1).initial_max_slice_len(TILES_START);
+            let publisher = publisher.allocation_strategy(AllocationStrategy::PowerOfTwo);
+            publisher.backpressure_strategy(BackpressureStrategy::DiscardData).create()
+        };
+        let is_full = |why: &_| matches!(why, PublisherCreateError::ExceedsMaxSupportedPublishers);
+        let publisher = self.domain.open_writer(is_full, open);
+        let publisher = publisher.map_err(failed("cannot write channel", &channel.name))?;
+        let ask_event = self.ask_event(channel)?;
+        let is_full = |why: &_| matches!(why, ListenerCreateError::ExceedsMaxSupportedListeners);
+        let listener = self.domain.open_writer(is_full, || ask_event.listener_builder().create());
         let requests = Listener::new(listener.map_err(failed("cannot be asked on", &channel.name))?);
         let (stamper, notifier) = (MessageSequencer::new(self.run), self.notifier(channel)?);
         Ok(MapWriter { publisher, stamper, notifier, requests, outgoing: PatchSender::default(), bytes: 0 })
