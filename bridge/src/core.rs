@@ -8,6 +8,7 @@ mod admission;
 mod initial_pose;
 mod input;
 mod navigation;
+mod other_drivers;
 mod registration;
 mod relay;
 mod ros_refusals;

@@ -57,6 +57,7 @@ impl Core {
 
     fn set_ros_graph(&mut self, graph: RosGraph) {
         self.fail_lost_calls(&graph);
+        self.report_other_drivers(&graph);
         self.relay.set_graph(graph);
         self.update_actions();
         for id in self.relay.topics().collect::<Vec<_>>() {

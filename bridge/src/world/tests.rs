@@ -172,6 +172,38 @@ fn a_robot_with_odometry_in_tf_is_located_by_that_and_not_by_its_odometry_topic(
 }
 
 #[test]
+fn a_driver_that_is_started_again_is_another_writer_of_odometry() {
+    let (mut world, messages) = world();
+    let mut send = |publisher: u8, seconds: i64, x: f64| {
+        let transform = edge("odom_1", "base_footprint_1", seconds * SECOND, x, LEVEL);
+        let bytes = payload(&TfMessage { transforms: vec![transform] });
+        let sender = Sender { source: 1, publisher: Some([publisher; 16]) };
+        let message = Incoming::Transforms(Reader::new(&bytes).unwrap());
+        world.receive(sender, &mut exact(), message, Stamp(seconds * SECOND)).unwrap();
+    };
+    send(1, 0, 0.0);
+    send(1, 1, 3.0);
+    send(2, 5, 0.05);
+    send(2, 6, 1.0);
+    // Its odometry goes on: a filter before the driver was started again.
+    send(3, 10, 1.5);
+    let taken = messages.borrow();
+    let taken: Vec<&str> =
+        taken.iter().map(String::as_str).filter(|message| message.contains("odometry")).collect();
+    assert_eq!(
+        taken,
+        [
+            "robot1 odometry 0.00 0.00 0.00 0.00",
+            "robot1 odometry 3.00 0.00 3.00 0.00",
+            "robot1 odometry begins anew",
+            "robot1 odometry 0.05 0.00 0.00 0.00",
+            "robot1 odometry 1.00 0.00 0.95 0.00",
+            "robot1 odometry 1.50 0.00 0.00 0.00",
+        ]
+    );
+}
+
+#[test]
 fn a_clock_that_was_set_back_is_believed_when_several_scans_agree() {
     let (mut world, messages) = world();
     let hour = 3600 * SECOND;

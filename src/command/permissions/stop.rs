@@ -56,13 +56,23 @@ impl StoppedFleet {
     fn line(&self) -> String {
         let why = self.why.as_deref().unwrap_or_default();
         let unconfirmed = self.unconfirmed.join(", ");
+        let (all, unheard) = match self.unheard.as_slice() {
+            [] => ("every robot", String::new()),
+            names => (
+                "every robot that was heard of",
+                format!(
+                    "; whether {} drive is not known, as nothing was heard of them yet",
+                    names.join(", ")
+                ),
+            ),
+        };
         let state = match (self.confirmed, self.latched) {
             (true, _) if !unconfirmed.is_empty() => format!(
                 "NOT CONFIRMED by {unconfirmed}: it stops when the link brings the stop; what it does by itself goes on until \
                  then, unless somebody stops it there"
             ),
-            (true, true) => "every robot is stopped until `mr-slam release`".to_owned(),
-            (true, false) => format!("every robot is stopped, but not across a restart: {why}"),
+            (true, true) => format!("{all} is stopped until `mr-slam release`"),
+            (true, false) => format!("{all} is stopped, but not across a restart: {why}"),
             (false, true) => {
                 format!(
                     "NOT CONFIRMED: the stop is latched, and the bridge sets it as soon as it goes on or is replaced; until then it \
@@ -70,10 +80,6 @@ impl StoppedFleet {
                 )
             }
             (false, false) => format!("NOT STOPPED: {why}"),
-        };
-        let unheard = match self.unheard.as_slice() {
-            [] => String::new(),
-            names => format!("; nothing was heard of {} yet", names.join(", ")),
         };
         let lost = self.lost.as_ref().map_or_else(String::new, |fleet| format!("; {fleet}"));
         format!("{state}{unheard} (run {}){lost}\n", self.run.display())
