@@ -282,13 +282,8 @@ impl Supervisor {
         children().for_each(|child| signal(child, Signal::TERM));
         let (asked, mut lost) = (Instant::now(), Vec::new());
         for member in &mut self.members {
-            let (role, ending) = (member.row.role, "the end of the recording is missing");
-            let saves = match role {
-                Role::Record => Some(ending),
-                Role::Slam => Some("its last map is not saved"),
-                _ => None,
-            };
-            let grace = if saves.is_some() { WRITER_END_GRACE } else { END_GRACE };
+            let unsaved = unsaved_without_end(member.row.role);
+            let grace = if unsaved.is_some() { WRITER_END_GRACE } else { END_GRACE };
             let name = member.name();
             let Some(child) = member.child.as_mut() else { continue };
             while matches!(child.try_wait(), Ok(None)) && asked.elapsed() < grace {
@@ -297,17 +292,24 @@ impl Supervisor {
             if matches!(child.try_wait(), Ok(None)) {
                 let text = format!("the {name} had not ended after {} s and was killed", grace.as_secs());
                 tracing::warn!("{text}");
-                lost.extend(saves.map(|saves| format!("{text}: {saves}")));
+                lost.extend(unsaved.map(|unsaved| format!("{text}: {unsaved}")));
             }
             let _ = child.kill();
-            let status = child.wait();
-            if role == Role::Record && !status.is_ok_and(|status| status.success() || status.code().is_none())
-            {
-                lost.push(format!("the {name} failed: {ending}"));
-            }
+            let has_failed = !matches!(child.wait().map(|status| status.code()), Ok(None | Some(0)));
+            let unsaved = unsaved.filter(|_| member.row.role == Role::Record && has_failed);
+            lost.extend(unsaved.map(|unsaved| format!("the {name} failed: {unsaved}")));
         }
         self.run.domain.remove();
         lost
+    }
+}
+
+/// Returns what is not saved if a process of this role does not end by itself.
+fn unsaved_without_end(role: Role) -> Option<&'static str> {
+    match role {
+        Role::Record => Some("the end of the recording is missing"),
+        Role::Slam => Some("its last map is not saved"),
+        _ => None,
     }
 }
 

@@ -13,10 +13,10 @@ use msg::{
 };
 use ros2_client::builtin_topics::ros_discovery;
 use ros2_client::dds::rustdds::{self, DomainParticipantBuilder, QosPolicyBuilder, TopicKind, policy};
-use ros2_client::dds::{Context, Node, Subscription};
+use ros2_client::dds::{Node, Subscription};
 use ros2_client::entities_info::ParticipantEntitiesInfo;
 use ros2_client::qos::{Durability, QosProfile};
-use ros2_client::{Message, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName};
+use ros2_client::{Message, MessageTypeName, Name, ServiceMapping, ServiceTypeName};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::net::Ipv4Addr;
@@ -24,7 +24,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::spawn_local;
-use watched::run;
+use watched::{connect, node, run};
 
 /// Whatever else is on its way arrives within this time.
 const QUIET: Duration = Duration::from_millis(400);
@@ -53,14 +53,6 @@ fn config(offset: u32) -> BridgeConfig {
         dds: DdsConfig { enabled: true, domain: domain.into(), ..DdsConfig::default() },
         ..BridgeConfig::default()
     }
-}
-
-fn node(config: &BridgeConfig) -> Node {
-    let builder =
-        DomainParticipantBuilder::new(config.dds.domain()).with_only_networks([Ipv4Addr::LOCALHOST]);
-    let context = Context::from_domain_participant(builder.build().unwrap()).unwrap();
-    let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
-    context.new_node(NodeName::new("/", "other").unwrap(), options).unwrap()
 }
 
 /// Creates a node while the endpoint goes on: on one thread it could not react to the discovery of the node's readers.
@@ -177,7 +169,7 @@ fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
                 answering.upgrade().map(|bridge| bridge.receive_slam_response(robot, &answer, true))
             });
         });
-        connect(&bridge, &endpoint, queues);
+        connect(&bridge, endpoint.clone(), queues);
         let mut other = node(&config);
         let client = other
             .create_client::<SaveMapRequest, SaveMapResponse>(
@@ -243,17 +235,6 @@ fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
 }
 
 /// Passes what the endpoint and the bridge tell each other.
-fn connect(bridge: &Rc<Bridge>, endpoint: &Rc<DdsEndpoint>, queues: Arc<DdsQueues>) {
-    let (receiver, commands) = (bridge.clone(), queues.clone());
-    bridge.on_ros_command(move |command| commands.send_command(command));
-    spawn_local(endpoint.clone().serve());
-    spawn_local(async move {
-        loop {
-            receiver.receive_ros(queues.next_event().await, process_clock());
-        }
-    });
-}
-
 #[test]
 fn a_robot_stops_at_once_when_its_writer_is_gone_and_the_stop_can_be_read() {
     run(async {
@@ -265,7 +246,7 @@ fn a_robot_stops_at_once_when_its_writer_is_gone_and_the_stop_can_be_read() {
         let taken = commands.clone();
         let take = move |_, command: VelocityCommand| taken.borrow_mut().push(command.linear_m_s);
         let bridge = Rc::new(Bridge::new(config.clone(), 1, take).unwrap());
-        connect(&bridge, &endpoint, queues);
+        connect(&bridge, endpoint.clone(), queues);
         let mut other = node(&config);
         let qos = QosProfile::publisher_default();
         let name = Name::parse("/cmd_vel").unwrap();
@@ -309,7 +290,7 @@ fn an_external_robot_that_begins_to_listen_is_sent_a_zero() {
         let world = ExternalWorld::new(1, |_| {});
         let bridge =
             Bridge::with_external_world(config.clone(), world, |now| Stamp(now.0 as i64), send).unwrap();
-        connect(&Rc::new(bridge), &endpoint, queues);
+        connect(&Rc::new(bridge), endpoint.clone(), queues);
         let mut other = node(&config);
         let qos = QosProfile::publisher_default();
         let name = Name::parse("/robot1/cmd_vel").unwrap();
@@ -337,7 +318,7 @@ fn nothing_is_taken_while_two_robots_send_under_one_name_and_the_operator_is_tol
         let stamp_at = |now: Monotonic| Stamp(now.0 as i64);
         let bridge =
             Rc::new(Bridge::with_external_world(config.clone(), world, stamp_at, |_, _| {}).unwrap());
-        connect(&bridge, &endpoint, queues);
+        connect(&bridge, endpoint.clone(), queues);
         let open = || {
             let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
             spawn_local(endpoint.clone().serve());

@@ -8,18 +8,16 @@ use bridge::dds::{DdsConfig, DdsEndpoint, DdsQueues};
 use bridge::frame::{Parser, Side};
 use bridge::{Bridge, BridgeConfig, FleetMessage, Transport, process_clock};
 use msg::{Header, Odometry, PoseEstimate, RobotId, Stamp, TrackingState};
-use ros2_client::dds::rustdds::DomainParticipantBuilder;
-use ros2_client::dds::{Context, Node, Subscription};
+use ros2_client::dds::{Node, Subscription};
 use ros2_client::qos::{Durability, QosProfile};
-use ros2_client::{MessageTypeName, Name, NodeName, NodeOptions};
+use ros2_client::{MessageTypeName, Name};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use std::net::Ipv4Addr;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::spawn_local;
-use watched::run;
+use watched::{connect, node, run};
 
 const ROBOT: RobotId = RobotId::new(1).unwrap();
 /// Period at which a test looks for messages.
@@ -35,15 +33,9 @@ fn config(offset: u32) -> BridgeConfig {
 }
 
 /// Creates a node while the endpoint goes on.
-async fn node(config: &BridgeConfig) -> Node {
-    let domain = config.dds.domain();
-    let create = move || {
-        let builder = DomainParticipantBuilder::new(domain).with_only_networks([Ipv4Addr::LOCALHOST]);
-        let context = Context::from_domain_participant(builder.build().unwrap()).unwrap();
-        let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
-        context.new_node(NodeName::new("/", "other").unwrap(), options).unwrap()
-    };
-    tokio::task::spawn_blocking(create).await.unwrap()
+async fn node_elsewhere(config: &BridgeConfig) -> Node {
+    let config = config.clone();
+    tokio::task::spawn_blocking(move || node(&config)).await.unwrap()
 }
 
 fn subscription<M: DeserializeOwned + 'static>(
@@ -67,17 +59,6 @@ async fn next<M: DeserializeOwned + 'static>(subscription: &Subscription<M>) -> 
     }
 }
 
-fn connect(bridge: &Rc<Bridge>, endpoint: Rc<DdsEndpoint>, queues: Arc<DdsQueues>) {
-    let (receiver, commands) = (bridge.clone(), queues.clone());
-    bridge.on_ros_command(move |command| commands.send_command(command));
-    spawn_local(endpoint.serve());
-    spawn_local(async move {
-        loop {
-            receiver.receive_ros(queues.next_event().await, process_clock());
-        }
-    });
-}
-
 #[test]
 fn each_change_of_a_state_that_is_also_a_command_reaches_ros_nodes() {
     run(async {
@@ -87,7 +68,7 @@ fn each_change_of_a_state_that_is_also_a_command_reaches_ros_nodes() {
         let bridge = Rc::new(Bridge::new(config.clone(), 1, |_, _| {}).unwrap());
         connect(&bridge, endpoint, queues);
         bridge.stop_robots();
-        let mut other = node(&config).await;
+        let mut other = node_elsewhere(&config).await;
         let states = subscription::<bool>(
             &mut other,
             "/emergency_stop",
@@ -130,7 +111,7 @@ fn what_a_client_sends_on_a_topic_that_it_reads_reaches_ros_nodes() {
             Side::Client.write_command(&mut bytes, command, &registration);
             receive(&bytes);
         }
-        let mut other = node(&config).await;
+        let mut other = node_elsewhere(&config).await;
         let counts = subscription::<i32>(&mut other, "/count", ("std_msgs", "Int32"), Durability::Volatile);
         let send = |count: i32| {
             let mut bytes = Vec::new();
@@ -164,7 +145,7 @@ fn transforms_reach_ros_nodes_while_those_of_external_robots_are_read() {
         let config = config(120);
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, true, Arc::default()).unwrap());
         spawn_local(endpoint.clone().serve());
-        let mut other = node(&config).await;
+        let mut other = node_elsewhere(&config).await;
         let transforms = subscription::<Vec<TransformStamped>>(
             &mut other,
             "/tf",

@@ -7,9 +7,9 @@ use bridge::dds::{DdsConfig, DdsEndpoint, DdsQueues};
 use bridge::frame::{Parser, Side};
 use bridge::{Bridge, BridgeConfig, ClientId, process_clock};
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
-use ros2_client::dds::{Context, Node, Publisher, Subscription};
+use ros2_client::dds::{Node, Publisher, Subscription};
 use ros2_client::qos::{Durability, QosProfile, Reliability};
-use ros2_client::{Message, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName};
+use ros2_client::{Message, MessageTypeName, Name, ServiceMapping, ServiceTypeName};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::net::Ipv4Addr;
@@ -17,7 +17,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::spawn_local;
-use watched::run;
+use watched::{connect, node, run};
 
 /// Whatever else is on its way arrives within this time.
 const QUIET: Duration = Duration::from_millis(400);
@@ -38,25 +38,10 @@ impl Ours {
         let config = BridgeConfig { dds, ..BridgeConfig::default() };
         let queues = Arc::new(DdsQueues::default());
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, queues.clone()).unwrap());
-        spawn_local(endpoint.serve());
         let bridge = Rc::new(Bridge::new(config.clone(), 1, |_, _| {}).unwrap());
-        let (commands, receiver) = (queues.clone(), bridge.clone());
-        bridge.on_ros_command(move |command| commands.send_command(command));
-        spawn_local(async move {
-            loop {
-                receiver.receive_ros(queues.next_event().await, process_clock());
-            }
-        });
+        connect(&bridge, endpoint, queues);
         let client = bridge.connect(([127, 0, 0, 1], 5000).into()).unwrap();
         Self { config, bridge, client }
-    }
-
-    fn node(&self) -> Node {
-        let builder =
-            DomainParticipantBuilder::new(self.config.dds.domain()).with_only_networks([Ipv4Addr::LOCALHOST]);
-        let context = Context::from_domain_participant(builder.build().unwrap()).unwrap();
-        let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
-        context.new_node(NodeName::new("/", "other").unwrap(), options).unwrap()
     }
 
     fn receive(&self, bytes: &[u8]) {
@@ -154,7 +139,7 @@ fn a_message_passes_in_both_directions_and_does_not_come_back() {
         let ours = Ours::open(0);
         ours.register(name::SUBSCRIBE, "/chat", "std_msgs/String");
         ours.register(name::PUBLISH, "/chat", "std_msgs/String");
-        let mut node = ours.node();
+        let mut node = node(&ours.config);
         let there =
             publisher::<String>(&mut node, "/chat", ("std_msgs", "String"), &QosProfile::publisher_default());
         let heard = subscription::<String>(&mut node, "/chat", ("std_msgs", "String"));
@@ -191,7 +176,7 @@ fn a_message_passes_in_both_directions_and_does_not_come_back() {
 fn best_effort_and_latched_publishers_are_heard() {
     run(async {
         let ours = Ours::open(25);
-        let mut node = ours.node();
+        let mut node = node(&ours.config);
         let latched = QosProfile::publisher_default().durability(Durability::TransientLocal);
         let there = publisher::<String>(&mut node, "/description", ("std_msgs", "String"), &latched);
         there.publish("published before anybody subscribed".into()).unwrap();
@@ -214,7 +199,7 @@ fn best_effort_and_latched_publishers_are_heard() {
 fn messages_of_another_type_do_not_reach_the_client() {
     run(async {
         let ours = Ours::open(50);
-        let mut node = ours.node();
+        let mut node = node(&ours.config);
         let qos = QosProfile::publisher_default();
         let wrong = publisher::<u32>(&mut node, "/count", ("std_msgs", "UInt32"), &qos);
         ours.register(name::SUBSCRIBE, "/count", "std_msgs/String");
@@ -259,7 +244,7 @@ fn a_late_node_reads_the_emergency_stop() {
     run(async {
         let ours = Ours::open(90);
         ours.bridge.stop_robots();
-        let mut node = ours.node();
+        let mut node = node(&ours.config);
         let name = Name::parse("/emergency_stop").unwrap();
         let latched = QosProfile::publisher_default().durability(Durability::TransientLocal);
         let topic = node.create_topic(&name, MessageTypeName::new("std_msgs", "Bool"), &latched).unwrap();
@@ -282,7 +267,7 @@ impl Message for Field {}
 fn a_client_calls_a_ros_nodes_service_also_with_a_long_request() {
     run(async {
         let ours = Ours::open(60);
-        let mut node = ours.node();
+        let mut node = node(&ours.config);
         let (name, of) = (Name::parse("/echo").unwrap(), ServiceTypeName::new("odd_msgs", "Echo"));
         let (qos, mapping) = (QosProfile::publisher_default(), ServiceMapping::Enhanced);
         let server = node.create_server::<Field, Field>(mapping, &name, &of, qos.clone(), qos).unwrap();
@@ -311,7 +296,7 @@ fn a_ros_nodes_call_is_answered_by_a_client_once() {
     run(async {
         let ours = Ours::open(65);
         ours.register(name::UNITY_SERVICE, "/trigger", "std_srvs/Trigger");
-        let mut node = ours.node();
+        let mut node = node(&ours.config);
         let (name, of) = (Name::parse("/trigger").unwrap(), ServiceTypeName::new("std_srvs", "Trigger"));
         let (qos, mapping) = (QosProfile::publisher_default(), ServiceMapping::Enhanced);
         let client = node.create_client::<Field, Field>(mapping, &name, &of, qos.clone(), qos).unwrap();

@@ -1,4 +1,4 @@
-//! Regular files. A pipe would keep its reader waiting, and a device is not to be replaced.
+//! Opens files, and refuses what is no regular file: a pipe would keep its reader waiting, and a device is not to be replaced.
 
 use std::fs::{File, Metadata};
 use std::io;

@@ -145,7 +145,7 @@ pub struct MessageSequencer {
 
 /// What is added to an incarnation that begins anew: more than there are processes in lockstep, and than two processes' starts can lie
 /// apart by, nanoseconds.
-const ANEW: u64 = 1 << 56;
+const INCARNATION_STEP: u64 = 1 << 56;
 
 impl MessageSequencer {
     /// `incarnation` tells this process of the writer from an earlier one.
@@ -161,7 +161,7 @@ impl MessageSequencer {
 
     /// Counts anew, as the sequencer of a writer that was started again.
     pub fn begin_anew(&mut self) {
-        (self.incarnation, self.seq) = (self.incarnation.wrapping_add(ANEW), 0);
+        (self.incarnation, self.seq) = (self.incarnation.wrapping_add(INCARNATION_STEP), 0);
     }
 
     /// Skips a number, because its message was lost before it was sent.

@@ -1,6 +1,6 @@
 //! Files of a recording, to which bytes are appended until the disk is nearly full.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -148,9 +148,8 @@ impl RecordingFiles {
 
     fn write(&mut self, bytes: &[u8]) -> Result<(), FileError> {
         let Some((path, file)) = &mut self.file else { return Ok(()) };
-        let here = std::fs::metadata(&*path).ok().map(|kind| (kind.dev(), kind.ino()));
-        let written = file.metadata().ok().map(|kind| (kind.dev(), kind.ino()));
-        if here != written {
+        let identity = |of: Metadata| (of.dev(), of.ino());
+        if std::fs::metadata(&*path).ok().map(identity) != file.metadata().ok().map(identity) {
             return Err(FileError::Gone { path: path.clone() });
         }
         // A system that does not say how much is free writes until it fails.

@@ -169,8 +169,9 @@ impl EntityFactory {
         message_type: &str,
         qos: QosPolicies,
     ) -> Result<TopicWriter, EndpointError> {
-        let topic = self.topic(name, message_type, &qos)?;
-        TopicWriter::new(&self.publisher, topic, qos).map_err(cannot_create(name))
+        let mut writer = self.unopened_topic_writer(name, message_type, qos)?;
+        writer.open().map_err(cannot_create(name))?;
+        Ok(writer)
     }
 
     /// Creates the writer of a topic that is on DDS from the next tick on.

@@ -132,14 +132,8 @@ pub struct TopicWriter {
 }
 
 impl TopicWriter {
-    /// Creates the writer of a stream, or of a latched topic if the quality of service is transient local.
-    pub fn new(publisher: &Publisher, topic: Topic, qos: QosPolicies) -> CreateResult<Self> {
-        let mut writer = Self::unopened(publisher, topic, qos);
-        writer.replace_writer()?;
-        Ok(writer)
-    }
-
-    /// Creates the writer of a topic that is on DDS from the next [`Self::retry`] on.
+    /// Creates the writer of a stream, or of a latched topic if the quality of service is transient local. It is on DDS from
+    /// [`Self::open`] or the next [`Self::retry`] on.
     pub fn unopened(publisher: &Publisher, topic: Topic, qos: QosPolicies) -> Self {
         let is_latched = qos.durability() == Some(Durability::TransientLocal);
         Self {
@@ -199,7 +193,7 @@ impl TopicWriter {
         let is_full = messages_max > 1 && latched.written >= messages_max as u64;
         if latched.is_due && is_full {
             // The readers are matched with the new one, which then writes the message. One that cannot be created is tried again.
-            let _ = self.replace_writer();
+            let _ = self.open();
             return;
         }
         let Some(bytes) = latched.newest.clone().filter(|_| latched.is_due && !self.readers.is_empty())
@@ -236,7 +230,7 @@ impl TopicWriter {
         // A reader of a participant that was known before: its request for old messages may come before this.
         let must_replace = is_new && latched.written > 1;
         if must_replace {
-            self.replace_writer()?;
+            self.open()?;
         }
         self.write_latched(now);
         Ok(must_replace)
@@ -249,7 +243,7 @@ impl TopicWriter {
     fn drop_old_messages(&mut self) -> CreateResult<bool> {
         let must_replace = self.latched.as_ref().is_some_and(|latched| latched.written > 1);
         if must_replace {
-            self.replace_writer()?;
+            self.open()?;
         }
         Ok(must_replace)
     }
@@ -262,7 +256,7 @@ impl TopicWriter {
         // Without a reader that acknowledges, RustDDS would keep every message.
         let must_replace = has_lost_last && self.latched.as_ref().is_some_and(|latched| latched.written > 0);
         if must_replace {
-            self.replace_writer()?;
+            self.open()?;
         }
         Ok(must_replace)
     }
@@ -273,16 +267,16 @@ impl TopicWriter {
         let is_stuck = self.blocked_since.is_some_and(|since| now >= since + BLOCKED_MAX);
         let must_replace = is_stuck || self.writer.is_none();
         if must_replace {
-            self.replace_writer()?;
+            self.open()?;
         }
         self.write_latched(now);
         Ok(must_replace)
     }
 
-    /// Creates a new writer without old messages; DDS matches the readers with it anew.
+    /// Opens a new writer without old messages, in place of the one before; DDS matches the readers with it anew.
     ///
     /// The old one is dropped first: a writer takes up to 11 ms to create, in which the old one would send its messages.
-    fn replace_writer(&mut self) -> CreateResult<()> {
+    pub fn open(&mut self) -> CreateResult<()> {
         self.writer = None;
         self.readers.clear();
         self.blocked_since = None;

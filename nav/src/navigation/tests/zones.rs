@@ -4,6 +4,8 @@ use super::*;
 
 /// The robot brakes from its cruising speed within this distance, metres; it has gone on for a step by then.
 const BRAKING_M: f64 = 0.1;
+/// A robot that is slower than this turns or begins to drive.
+const DRIVING_M_S: f64 = 0.1;
 /// Side of a zone, metres.
 const SIDE_M: f64 = 0.4;
 
@@ -28,7 +30,7 @@ fn a_robot_stops_before_a_zone_that_is_drawn_across_its_way() {
             distance_m(&drive.world, 1, [before.x_m, before.y_m])
         };
         // One that turns on the spot leaves the way ahead of it by itself.
-        if drive.state(1) != NavigationState::Driving || moved_m < 0.5 * STEP_S * 0.2 {
+        if drive.state(1) != NavigationState::Driving || moved_m < STEP_S * DRIVING_M_S {
             continue;
         }
         drawn += 1;
