@@ -41,7 +41,7 @@ pub struct DdsCounters {
     pub readers: u32,
     /// Messages written, to readers of all topics together.
     pub sent: u64,
-    /// Messages dropped because a reader did not acknowledge.
+    /// Messages dropped because a reader did not acknowledge, or the bridge or the endpoint did not take them in time.
     pub dropped: u64,
     /// Messages received on all topics and services together.
     pub received: u64,
