@@ -17,10 +17,12 @@ mod error;
 mod frame_tree;
 mod input;
 mod mount;
+mod notices;
 mod publishers;
 mod restart;
 mod suspects;
 mod transforms;
+mod watch;
 
 pub(crate) use checks::floor_pose;
 pub use checks::{ScanError, TransformError};
@@ -36,11 +38,13 @@ use mount::Mounts;
 use msg::{
     Clock, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp, Transforms,
 };
+use notices::Notices;
 use publishers::RobotPublishers;
 use restart::Drivers;
 use ros_messages::cdr::Reader;
 use ros_messages::names::RobotNames;
 use ros_messages::read;
+use watch::SensorWatch;
 
 /// A robot keeps its source for so long after the source's last message, seconds; then another may take its place.
 const SOURCE_TIMEOUT_S: f64 = 2.0;
@@ -92,6 +96,7 @@ struct RobotState {
     has_footprint: bool,
     publishers: RobotPublishers,
     drivers: Drivers,
+    watch: SensorWatch,
 }
 
 /// One message from a source, behind its encapsulation header.
@@ -137,10 +142,12 @@ pub struct ExternalWorld {
     clock: Stamp,
     /// The source of the clock, and the run's time of its last message.
     clock_source: Option<(SourceId, Stamp)>,
-    /// Seconds by which a clock was set back, until [`ExternalWorld::take_step`].
-    step_s: Option<f64>,
+    /// Whose scans show that a clock was set back and by how many seconds, until [`ExternalWorld::take_step`].
+    step: Option<(RobotId, f64)>,
     /// Where the robots' LiDARs are.
     mounts: Mounts,
+    /// What the operator's log is to be told.
+    notices: Notices,
     sink: MessageSink,
 }
 
@@ -156,7 +163,8 @@ impl ExternalWorld {
             transforms: Box::new([Transforms::default(); ROBOTS_MAX]),
             clock: Stamp(i64::MIN),
             clock_source: None,
-            step_s: None,
+            step: None,
+            notices: Notices::default(),
             sink: Box::new(sink),
         }
     }
@@ -212,9 +220,12 @@ impl ExternalWorld {
             if !self.was_set_back(robot, stamp - before, stamp) {
                 return Err(ScanError::NotNewer { stamp_s: sent.seconds() }.into());
             }
-            self.restart(origin.source, stamp - before);
+            let step_s = self.robots[robot.index()].watch.clock_step_s(stamp, origin.received);
+            self.restart(origin.source, robot, step_s.unwrap_or(stamp - before));
         }
+        let has_own_time = self.clock_source.is_some();
         let state = &mut self.robots[robot.index()];
+        state.watch.add_scan(robot, stamp, origin.received, has_own_time, &mut self.notices);
         state.set_back = None;
         (state.last_scan, state.source) = (Some(stamp), Some((origin.source, origin.received)));
         self.scan.header.stamp = stamp;
@@ -284,6 +295,11 @@ impl ExternalWorld {
         self.mounts.trees.forget(source);
     }
 
+    /// Takes the next notice for the operator's log.
+    pub fn take_notice(&mut self) -> Option<String> {
+        self.notices.take()
+    }
+
     fn check_source(&self, origin: &Origin<'_>, robot: RobotId) -> Result<(), WorldError> {
         let robot_count = self.names.count();
         if robot.number() > robot_count {
@@ -305,11 +321,12 @@ impl ExternalWorld {
         is_of_transform: bool,
     ) -> Result<(), TransformError> {
         let odom_from_base = planar_pose(transform)?;
-        let state = &mut self.robots[robot.index()];
-        if state.drivers.is_restart(origin.publisher, is_of_transform, &odom_from_base) {
-            state.last_pose = None;
+        if self.begins_anew(origin, robot, sent, &odom_from_base, is_of_transform) {
+            self.robots[robot.index()].last_pose = None;
             (self.sink)(WorldMessage::OdometryRestart(robot));
         }
+        let state = &mut self.robots[robot.index()];
+        state.watch.add_odometry(origin.received);
         let mut odometry = Odometry { odom_from_base, ..Odometry::default() };
         odometry.header.stamp = stamp;
         if let Some(last) = state.last_pose {

@@ -156,22 +156,25 @@ fn transforms_reach_ros_nodes_while_those_of_external_robots_are_read() {
         // Its odometry names the frame in which the transforms go out.
         let robot = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
         spawn_local(robot.clone().serve());
-        let send = |second: i64| {
-            let header = Header { stamp: Stamp(second * 1_000_000_000), ..Header::default() };
+        let send = |stamp: Stamp| {
+            let header = Header { stamp, ..Header::default() };
             let state = TrackingState::Tracking as u32;
             let pose_estimate = PoseEstimate { header, state, ..PoseEstimate::default() };
             endpoint.publish(FleetMessage::PoseEstimate(ROBOT, &pose_estimate));
         };
         // Messages are lost until discovery is complete.
         let is_from_map = |transform: &TransformStamped| transform.frame == "map_1";
+        let mut stamp = Stamp(0);
         while !matches!(transforms.take(), Ok(Some((sent, _))) if sent.iter().any(is_from_map)) {
             robot.publish(FleetMessage::Odometry(ROBOT, &Odometry::default()));
-            send(1);
+            // A transform is sent again with a newer stamp alone.
+            stamp = stamp + PERIOD;
+            send(stamp);
             tokio::time::sleep(PERIOD).await;
         }
         // More than a writer keeps for a reader that does not acknowledge.
         for last in (100..=10_000_i32).step_by(100) {
-            (last - 99..=last).for_each(|second| send(second.into()));
+            (last - 99..=last).for_each(|second| send(Stamp::from_seconds(second.into())));
             while next(&transforms).await.iter().all(|transform| transform.stamp.0 != last) {}
         }
         // Nobody takes the odometry: its queue may have dropped some.

@@ -8,7 +8,7 @@ use crate::router::{
     BufferPool, Client, ClientId, ConnectionEnded, FlushOutcome, LargeFrame, OutgoingQueue, Source,
 };
 use crate::world::ClockOffset;
-use msg::Monotonic;
+use msg::{Monotonic, RobotId};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::io::{IoSlice, Write};
@@ -272,15 +272,16 @@ impl Core {
         self.router.release_unused(now);
     }
 
-    /// Tells a client and the operator that the client's clock was found to be set.
-    pub(super) fn report_clock_step(&mut self, id: ClientId, step_s: f64) {
+    /// Tells a client and the operator that the client's clock was found to be set, by the scans of this robot.
+    pub(super) fn report_clock_step(&mut self, id: ClientId, robot: Option<RobotId>, step_s: f64) {
         let text = |whose: &str, stamps: &str| {
             format!(
                 "{whose} clock was set by {step_s:+.3} s: several messages agree; its stamps are {stamps}"
             )
         };
         let Some(client) = self.router.client(id) else {
-            return self.report(text("ROS 2: the robots'", "taken as they are, as before"));
+            let whose = robot.map_or("the robots'".into(), |robot| format!("{robot}'s"));
+            return self.report(text(&format!("ROS 2: {whose}"), "taken as they are, as before"));
         };
         // A fixed offset is added as before; a measured one is measured anew.
         let stamps = match self.config.clock_offset {

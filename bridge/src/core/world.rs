@@ -61,8 +61,8 @@ impl Core {
     ) -> Result<(), InputError> {
         let Some(world) = &mut self.world else { return Ok(()) };
         let result = world.receive(sender.of_world(), message, now);
-        if let Some(step_s) = world.take_clock_step(sender.of_world().source) {
-            self.report_clock_step(sender.client, step_s);
+        if let Some((robot, step_s)) = world.take_clock_step(sender.of_world().source) {
+            self.report_clock_step(sender.client, robot, step_s);
         }
         while let Some(notice) = self.world.as_mut().and_then(WorldInput::take_notice) {
             self.report(notice);

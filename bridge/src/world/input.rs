@@ -1,7 +1,7 @@
 //! The external world as a part of the bridge: it keeps a clock for each source and converts their time.
 
 use super::{ClockEstimate, ClockOffset, ExternalWorld, Incoming, Sender, SourceClock, SourceId, WorldError};
-use msg::{Monotonic, Stamp};
+use msg::{Monotonic, RobotId, Stamp};
 use std::collections::BTreeMap;
 
 /// The source of everything from DDS. Clients count from 1 and never reach it.
@@ -41,10 +41,12 @@ impl WorldInput {
         self.world.receive(sender, clock, message, (self.stamp_at)(now))
     }
 
-    /// Returns by how many seconds a source's clock was found to be set since the last call.
-    pub fn take_clock_step(&mut self, source: SourceId) -> Option<f64> {
+    /// Returns by how many seconds a source's clock was found to be set since the last call, and the robot whose scans show it, if it
+    /// is known.
+    pub fn take_clock_step(&mut self, source: SourceId) -> Option<(Option<RobotId>, f64)> {
         let step_s = self.clocks.get_mut(&source).and_then(SourceClock::take_step);
-        step_s.or_else(|| self.world.take_step())
+        let of_robot = || self.world.take_step().map(|(robot, step_s)| (Some(robot), step_s));
+        step_s.map(|step_s| (None, step_s)).or_else(of_robot)
     }
 
     /// Takes the next notice for the operator's log.

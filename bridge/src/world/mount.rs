@@ -9,8 +9,8 @@
 //! ```
 
 use super::frame_tree::{FrameTrees, without_slash};
-use super::{DDS_SOURCE, ExternalWorld, Origin, SourceId, WorldError};
-use msg::{Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Stamp};
+use super::{DDS_SOURCE, ExternalWorld, Notices, Origin, SourceId, WorldError};
+use msg::{Pose2, RobotFrame, RobotFrameTransform, RobotId, Stamp};
 use ros_messages::names::FleetFrame;
 use ros_messages::spatial_pose::{ScannerMount, SpatialPose, TILT_MAX_DEG};
 use thiserror::Error;
@@ -29,9 +29,6 @@ const SAME_DEG: f64 = 1.0;
 const NOTICE_PERIOD_S: f64 = 30.0;
 /// A tilt from which the operator is told, degrees: 0.14 % of a range.
 const TILT_TOLD_DEG: f64 = 3.0;
-/// Most notices that wait; further ones are dropped.
-const NOTICES_MAX: usize = 2 * ROBOTS_MAX;
-
 /// Why a LiDAR's mount is not accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum MountError {
@@ -84,7 +81,6 @@ pub(super) struct RobotMount {
 pub(super) struct Mounts {
     pub(super) trees: FrameTrees,
     robots: Vec<RobotMount>,
-    notices: Vec<String>,
     /// Whether the operator was told that a transform does not say whose it is.
     is_unnamed_told: bool,
 }
@@ -118,9 +114,9 @@ impl Mounts {
     }
 
     /// Tells the operator once that odometry on a topic of all robots does not say whose it is.
-    pub(super) fn tell_unnamed(&mut self, parent: &str, child: &str) {
+    pub(super) fn tell_unnamed(&mut self, parent: &str, child: &str, notices: &mut Notices) {
         if !std::mem::replace(&mut self.is_unnamed_told, true) {
-            self.notices.push(format!(
+            notices.push(format!(
                 "{parent} -> {child} on /tf does not say which robot's it is, and is not used: several robots would read the \
                  same frames. Give each robot its own: frames robot1/odom, robot1/base_footprint (frame_prefix), or its \
                  transforms on /robot1/tf and /robot1/tf_static. Until then odometry comes from /robot1/odom alone"
@@ -234,23 +230,15 @@ impl ExternalWorld {
 
     /// Writes a notice when a mount is known first, or has changed.
     fn tell_mount(&mut self, robot: RobotId, placement: Placement, received: Stamp) {
-        let Mounts { robots, notices, .. } = &mut self.mounts;
-        let mount = &mut robots[robot.index()];
+        let mount = &mut self.mounts.robots[robot.index()];
         let is_due = mount.told.is_none_or(|(told, at)| {
             !is_same(told, placement) && !(0.0..NOTICE_PERIOD_S).contains(&(received - at))
         });
         if is_due {
             let before = mount.told.map(|(told, _)| told);
             mount.told = Some((placement, received));
-            if notices.len() < NOTICES_MAX {
-                notices.push(notice(robot, &mount.scan_frame, placement, before));
-            }
+            self.notices.push(notice(robot, &mount.scan_frame, placement, before));
         }
-    }
-
-    /// Takes the next notice for the operator's log.
-    pub fn take_notice(&mut self) -> Option<String> {
-        if self.mounts.notices.is_empty() { None } else { Some(self.mounts.notices.remove(0)) }
     }
 }
 
