@@ -159,6 +159,10 @@ impl BaseEnd {
     pub fn hold(&self) -> Hold {
         let HeardState { newest, interruptions, .. } = self.robot_state;
         let reason = match newest {
+            // It keeps the list of the parts that its base holds.
+            RobotState { list_of, .. } if list_of != 0 && list_of != self.peer.session => {
+                Some(PauseReason::AnotherBase)
+            }
             RobotState { is_own_stop: true, .. } => Some(PauseReason::StoppedAtRobot),
             RobotState { is_driven_by_hand: true, .. } => Some(PauseReason::DrivenAtRobot),
             RobotState { is_late: true, .. } => Some(PauseReason::LateVelocities),

@@ -10,7 +10,7 @@ use crate::scan_throttle::ScanThrottle;
 use crate::sender::{PartSender, SenderConfig};
 use crate::stop::{StopFollower, StopRequest};
 use crate::table::Kind;
-use crate::wire::{Message, RobotState, WireError, address};
+use crate::wire::{BaseState, Message, RobotState, WireError, address};
 use msg::{
     Header, MapHeader, Monotonic, PoseEstimate, Scan, Submap, SubmapPoses, TileMap, Transforms,
     VelocityCommand,
@@ -162,12 +162,18 @@ impl RobotEnd {
         self.obedience.is_refused()
     }
 
-    /// Takes a message of a base. Velocities that waited on the way, and messages of a second base, ask for nothing.
+    /// Takes a message of a base. Velocities that waited on the way ask for nothing, nor does a second base but for its emergency
+    /// stop: each base that has the keys may stop a robot.
     pub fn receive(&mut self, bytes: &[u8], now: Monotonic) -> Result<Vec<RobotEvent>, WireError> {
         let envelope = self.peer.read(bytes)?;
         let mut events = Vec::new();
         match self.leadership.judge(envelope.session, now) {
-            Verdict::Refused => return Ok(events),
+            Verdict::Refused => {
+                if let Message::BaseState(state) = envelope.message {
+                    events.extend(self.follow_stop(envelope.session, state, now));
+                }
+                return Ok(events);
+            }
             Verdict::Accepted => {}
             Verdict::TakenOver { before } => {
                 self.sender.forget_list();
@@ -181,8 +187,7 @@ impl RobotEnd {
         match envelope.message {
             Message::BaseState(state) => {
                 self.scans.set_asked(state.scans);
-                let request = self.follower.follow(envelope.session, state, self.local.is_stopped, now);
-                events.extend(request.map(RobotEvent::Stop));
+                events.extend(self.follow_stop(envelope.session, state, now));
             }
             Message::Velocity(command) if is_ours && self.obedience.judge(envelope.answers, now) => {
                 events.push(RobotEvent::Velocity(command));
@@ -192,6 +197,10 @@ impl RobotEnd {
             _ => {}
         }
         Ok(events)
+    }
+
+    fn follow_stop(&mut self, base: u64, state: BaseState, now: Monotonic) -> Option<RobotEvent> {
+        self.follower.follow(base, state, self.local.is_stopped, now).map(RobotEvent::Stop)
     }
 
     /// Keeps the robot's newest pose until it is sent.

@@ -1,8 +1,10 @@
-//! The emergency stop across machines: a robot takes over the stop of the base that leads, and keeps it.
+//! The emergency stop across machines: a robot takes over the stop of every base that it hears, and keeps it.
 //!
-//! Only the base that set the stop releases it, or a person at the robot. A base that starts anew, or another one, releases
-//! nothing: it never said that the robot is stopped. A stop that held at the robot before is the robot's own.
+//! Only a base that set the stop releases it, or a person at the robot; while several bases are stopped, the last of them that is
+//! heard. A base that starts anew, or another one, releases nothing: it never said that the robot is stopped. A stop that held at
+//! the robot before is the robot's own.
 
+use crate::leadership::SILENCE_MAX;
 use crate::wire::BaseState;
 use msg::Monotonic;
 use std::time::Duration;
@@ -11,6 +13,8 @@ use std::time::Duration;
 const REPEAT_PERIOD: Duration = Duration::from_secs(1);
 /// Time that the robot's bridge gets to release a stop of the base.
 const RELEASE_MAX: Duration = Duration::from_secs(2);
+/// Most bases whose stops are told apart. The stop of one more holds, and a person at the robot releases it.
+const HOLDERS_MAX: usize = 8;
 
 /// Request to the robot's own bridge, which keeps the stop on its disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,13 +25,22 @@ pub enum StopRequest {
     Release,
 }
 
-/// What a robot's emergency stop owes to the base that leads.
+/// A base whose stop a robot has taken over.
+#[derive(Clone, Copy, Debug)]
+struct Holder {
+    session: u64,
+    heard: Monotonic,
+}
+
+/// What a robot's emergency stop owes to the bases that are heard.
 #[derive(Debug, Default)]
 pub struct StopFollower {
-    /// Session of the base whose stop this robot took over.
-    stopped_by: Option<u64>,
+    /// Bases whose stop this robot took over and that have not released it.
+    holders: Vec<Holder>,
+    /// Whether the robot's own stop was set when that was known last.
+    was_stopped: bool,
     requested: Option<Monotonic>,
-    /// When the base's stop was released last.
+    /// When the last base's stop was released.
     released: Option<Monotonic>,
 }
 
@@ -43,32 +56,49 @@ impl StopFollower {
         if !state.is_known {
             return None;
         }
+        let was_stopped = self.was_stopped;
+        self.was_stopped = is_stopped.unwrap_or(was_stopped);
+        if was_stopped && !self.was_stopped {
+            // Somebody at the robot has released it. A base that is still stopped sets it again.
+            self.holders.clear();
+        }
+        let known = self.holders.iter().position(|holder| holder.session == base);
         if !state.is_stopped {
-            let is_released = self.stopped_by == Some(base);
-            if is_released {
-                (self.stopped_by, self.requested, self.released) = (None, None, Some(now));
+            self.holders.remove(known?);
+            // A base that is no more cannot release its stop: another that has set one can.
+            let is_heard = |of: &Holder| now.since(of.heard) < SILENCE_MAX.as_nanos() as u64;
+            if self.holders.iter().any(is_heard) {
+                return None;
             }
-            return is_released.then_some(StopRequest::Release);
+            self.holders.clear();
+            (self.requested, self.released) = (None, Some(now));
+            return Some(StopRequest::Release);
         }
         // Somebody at the robot stopped it, for reasons of his own: a base that stops its fleet meanwhile does not own that stop.
-        if self.stopped_by.is_none() && is_stopped == Some(true) {
+        if self.holders.is_empty() && is_stopped == Some(true) {
             return None;
         }
         self.released = None;
-        let is_new = self.stopped_by.replace(base) != Some(base);
+        match known {
+            Some(index) => self.holders[index].heard = now,
+            None if self.holders.len() < HOLDERS_MAX => {
+                self.holders.push(Holder { session: base, heard: now });
+            }
+            None => {}
+        }
         let is_due = self.requested.is_none_or(|at| now.since(at) >= REPEAT_PERIOD.as_nanos() as u64);
-        let is_requested = is_new || (is_stopped != Some(true) && is_due);
+        let is_requested = is_stopped != Some(true) && (is_due || known.is_none());
         if is_requested {
             self.requested = Some(now);
         }
         is_requested.then_some(StopRequest::Set)
     }
 
-    /// Returns whether a stop that holds is the robot's own: the base of this session cannot release it. A stop that was just
+    /// Returns whether a stop that holds is not of the base of this session, which cannot release it. A stop that was just
     /// released holds for a moment longer.
     pub fn is_own(&self, base: Option<u64>, now: Monotonic) -> bool {
         let is_being_released = self.released.is_some_and(|at| now.since(at) < RELEASE_MAX.as_nanos() as u64);
-        !is_being_released && (self.stopped_by.is_none() || self.stopped_by != base)
+        !is_being_released && !self.holders.iter().any(|holder| Some(holder.session) == base)
     }
 }
 
@@ -110,5 +140,46 @@ mod tests {
         assert_eq!(follower.follow(1, said(true), None, Monotonic(2)), None, "not in every message");
         let later = Monotonic(2_000_000_000);
         assert_eq!(follower.follow(1, said(true), None, later), Some(StopRequest::Set));
+    }
+
+    #[test]
+    fn the_stops_of_two_bases_hold_until_both_are_released() {
+        let mut follower = StopFollower::default();
+        let mut follow = |base, is_base_stopped, is_stopped, ms: u64| {
+            follower.follow(base, said(is_base_stopped), Some(is_stopped), Monotonic(ms * 1_000_000))
+        };
+        assert_eq!(follow(1, true, false, 1), Some(StopRequest::Set));
+        assert_eq!(follow(2, true, true, 2), None, "it is stopped");
+        assert_eq!(follow(1, false, true, 3), None, "the other one is still stopped");
+        assert_eq!(follow(1, false, true, 4), None);
+        assert_eq!(follow(2, false, true, 5), Some(StopRequest::Release));
+        // One of them is no more.
+        assert_eq!(follow(1, true, false, 3_000), Some(StopRequest::Set));
+        assert_eq!(follow(2, true, true, 3_001), None);
+        assert_eq!(follow(2, false, true, 9_000), Some(StopRequest::Release));
+    }
+
+    #[test]
+    fn a_person_at_the_robot_releases_the_stop_of_a_base_that_is_no_more_for_good() {
+        let mut follower = StopFollower::default();
+        let mut follow = |base, is_base_stopped, is_stopped, s: u64| {
+            follower.follow(base, said(is_base_stopped), Some(is_stopped), Monotonic(s * 1_000_000_000))
+        };
+        assert_eq!(follow(1, true, false, 1), Some(StopRequest::Set));
+        assert_eq!(follow(2, false, true, 10), None, "it set nothing");
+        assert_eq!(follow(2, false, false, 11), None, "released at the robot");
+        assert_eq!(follow(2, true, false, 12), Some(StopRequest::Set));
+        assert_eq!(follow(2, false, true, 13), Some(StopRequest::Release));
+    }
+
+    #[test]
+    fn of_too_many_bases_each_stop_holds() {
+        let mut follower = StopFollower::default();
+        let count = HOLDERS_MAX as u64 + 3;
+        for base in 1..=count {
+            let request = follower.follow(base, said(true), Some(base > 1), Monotonic(base));
+            assert_eq!(request, (base == 1).then_some(StopRequest::Set));
+        }
+        assert_eq!(follower.holders.len(), HOLDERS_MAX);
     }
 }

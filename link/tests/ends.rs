@@ -357,16 +357,21 @@ fn a_change_of_the_stop_is_repeated_at_once_and_not_for_ever() {
 }
 
 #[test]
-fn a_second_base_is_not_obeyed_while_the_first_leads() {
+fn a_second_base_may_stop_the_robot_and_nothing_else_while_the_first_leads() {
     let mut machines = Machines::new();
     machines.base.set_stopped(Some(false));
     machines.run(1_000);
     let first = std::mem::replace(&mut machines.base, BaseEnd::new(9));
-    machines.base.set_stopped(Some(true));
-    let second = machines.base_messages();
-    assert!(!second.is_empty());
-    machines.deliver_to_robot(second);
-    assert!(!machines.is_stopped && machines.robot.refused() > 0);
+    let velocity = machines.velocity();
+    machines.deliver_to_robot(velocity);
+    assert!(machines.velocities.is_empty() && machines.robot.refused() > 0);
+    for is_stopped in [true, false] {
+        machines.base.set_stopped(Some(is_stopped));
+        let second = machines.base_messages();
+        assert!(!second.is_empty());
+        machines.deliver_to_robot(second);
+        assert_eq!(machines.is_stopped, is_stopped);
+    }
     machines.base = first;
     machines.draw(0..5, 50);
     machines.run(5_000);

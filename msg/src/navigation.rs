@@ -41,17 +41,20 @@ pub enum PauseReason {
     LateVelocities = 5,
     /// The emergency stop of this machine was set.
     EmergencyStop = 6,
+    /// At the base: the robot obeys another base.
+    AnotherBase = 7,
 }
 
 impl PauseReason {
     /// Decodes a reason; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         use PauseReason::{
-            Base, DrivenAtRobot, EmergencyStop, InterruptedAtRobot, LateVelocities, Person, StoppedAtRobot,
+            AnotherBase, Base, DrivenAtRobot, EmergencyStop, InterruptedAtRobot, LateVelocities, Person,
+            StoppedAtRobot,
         };
-        [Person, Base, StoppedAtRobot, DrivenAtRobot, InterruptedAtRobot, LateVelocities, EmergencyStop]
-            .into_iter()
-            .find(|reason| *reason as u32 == code)
+        let machine = [Person, Base, EmergencyStop];
+        let robot = [StoppedAtRobot, DrivenAtRobot, InterruptedAtRobot, LateVelocities, AnotherBase];
+        machine.into_iter().chain(robot).find(|reason| *reason as u32 == code)
     }
 
     /// Returns the sentence that people read, within 128 bytes.
@@ -63,7 +66,10 @@ impl PauseReason {
             }
             Self::Base => "the base drives the robot; resume, or send a new goal",
             Self::StoppedAtRobot => {
-                "the robot is stopped at its own machine; `mr-slam release` there, then resume, or send a new goal"
+                "the robot is stopped at its own machine or by another base; `mr-slam release` there, then resume or send a goal"
+            }
+            Self::AnotherBase => {
+                "the robot obeys another base until that one has been silent for 3 s; end the other base, then resume"
             }
             Self::DrivenAtRobot => {
                 "a person drives the robot at its own machine; resume afterwards, or send a new goal"

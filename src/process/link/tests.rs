@@ -374,16 +374,22 @@ fn a_stop_at_the_robots_machine_reaches_the_base_and_outdates_its_velocities() {
 }
 
 #[test]
-fn a_second_base_is_not_obeyed_while_the_first_leads() {
+fn a_second_base_may_stop_the_robot_and_nothing_else_while_the_first_leads() {
     let mut machines = Machines::new();
     machines.run(1.0);
     let mut second = BaseSide::new(Cable { out: machines.down.clone(), back: CableDirection::default() }, 9);
-    second.stop.0.set(true);
-    for _ in 0..50 {
-        second.network.clock().set(Monotonic(machines.now));
-        second.link.step();
-        machines.run(0.04);
+    for is_stopped in [true, false] {
+        second.stop.0.set(is_stopped);
+        for _ in 0..50 {
+            second.network.clock().set(Monotonic(machines.now));
+            second.commands.send(&VelocityCommand { linear_m_s: 0.2, ..VelocityCommand::default() });
+            second.link.step();
+            machines.run(0.04);
+        }
+        assert_eq!(machines.robot.stop.0.get(), is_stopped);
+        let reason = machines.base.holds.newest().unwrap().reason();
+        assert_eq!(reason, is_stopped.then_some(PauseReason::StoppedAtRobot));
     }
-    assert!(!machines.robot.stop.0.get());
+    assert!(machines.robot.velocities.newest().is_none());
     assert!(machines.robot.link.refused() > 0);
 }
