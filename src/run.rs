@@ -5,7 +5,7 @@
 //! | `fleet.toml` | configuration of the run |
 //! | `run.json` | process id, shared memory, clocks and port, for the fleet's processes and `mr-slam status` |
 //! | `.lock` | held by the launcher, so that a second fleet does not use the folder |
-//! | `merge.json`, `merge_robotK.map.gz`, `sessions/`, `bridge.json`, `stopped`, `denied`, `navigation.json` | state that restarted processes continue with |
+//! | `merge.json`, `merge_robotK.map.gz`, `sessions/`, `bridge.json`, `stopped`, `denied` | state that restarted processes continue with |
 //! | `link.json` | figures of the link to other machines, if there are several |
 //! | `recording/` | recording of the run, if there is one |
 //! | `results.earlier/`, `sessions/*.earlier` | maps, report and sessions of the run before in this folder |
@@ -87,9 +87,12 @@ pub enum RunError {
     /// Shared memory of the run cannot be used.
     #[error(transparent)]
     Channel(#[from] ChannelError),
-    /// No fleet runs, or not the one that was named.
+    /// No fleet runs.
     #[error("no fleet is running; start one with `mr-slam up`")]
     NoneRunning,
+    /// The fleet that was named has ended.
+    #[error("{}: the fleet of this run has ended; start one with `mr-slam up`", .0.display())]
+    Ended(PathBuf),
     /// Fleets run, but none whose folder can be read.
     #[error("{}; `mr-slam stop` stops its robots, and `kill` with the process id ends it", display_lost(.0))]
     Lost(Vec<LostFleet>),
@@ -254,7 +257,7 @@ impl Run {
     /// Opens the run in `dir`, whose launcher must be alive.
     pub fn open_running(dir: &Path) -> Result<Self, RunError> {
         let run = Self::open(dir)?;
-        if runtime_folder::is_alive(run.domain.root()) { Ok(run) } else { Err(RunError::NoneRunning) }
+        if run.is_alive() { Ok(run) } else { Err(RunError::Ended(run.dir)) }
     }
 
     fn from_file(dir: PathBuf, file: RunFile, config: FleetConfig) -> Result<Self, RunError> {

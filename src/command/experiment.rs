@@ -162,11 +162,13 @@ pub fn run(args: &ExperimentArgs, stop: &Stop) -> Result<(), Error> {
     results.write(out, &sessions, &beside)?;
     output::note(&format!("{}", out.join("report.html").display()));
     output::print_either(args.json, &results, || results.text(&beside))?;
-    let missing = args.session_count() as usize - sessions.len();
+    // A folder that was deleted after its session is missing, too: the report names its files.
+    let is_there = |session: &&Session| session::folder(out, session.number).exists();
+    let missing = args.session_count() as usize - sessions.iter().filter(is_there).count();
     if missing == 0 {
         return Ok(());
     }
-    failed.insert(0, format!("{missing} of {} sessions are missing", args.session_count()));
+    failed.insert(0, format!("{missing} of {} sessions are missing in the folder", args.session_count()));
     Err(format!("{}; the same command with --out {} runs them", failed.join("; "), out.display()).into())
 }
 
@@ -178,7 +180,7 @@ fn run_session(
     failed: &mut Vec<String>,
 ) -> Result<Option<Session>, Error> {
     let (args, config) = (&experiment.args, experiment.config(number));
-    let folder = experiment.out.join(format!("session_{number}"));
+    let folder = session::folder(&experiment.out, number);
     let of = args.session_count();
     for attempt in 1..=ATTEMPTS {
         let settings = Settings::new(experiment, &config);

@@ -80,7 +80,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     }
     let hash: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     let faster = fleet.now().seconds() / begun.elapsed().as_secs_f64().max(1e-9);
-    args.run_dir.as_ref().map_or(Ok(()), |dir| write_results(dir, &config, &mut fleet))?;
+    let written = args.run_dir.as_ref().map_or(Ok(()), |dir| write_results(dir, &config, &mut fleet));
     let maps_hash = record::map_hash(fleet.maps());
     let recorded = recording.map(Recording::finish);
     if let Some(why) = recorded.as_ref().and_then(|recorded| recorded.ended.clone()) {
@@ -101,7 +101,20 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
         )
     };
     output::print_either(args.json, &report, text)?;
-    let violations = if args.faults.is_some() { checker.finish(&fleet) } else { Vec::new() };
+    // What could not be written is no reason to lose the figures.
+    written?;
+    check_end(args, stop, checker, &fleet)
+}
+
+/// Returns why the run does not count: it was interrupted, or something did not hold.
+fn check_end(args: &LockstepArgs, stop: &Stop, checker: Checker, fleet: &Lockstep) -> Result<(), Error> {
+    if stop.requested() {
+        let seconds = fleet.now().seconds();
+        return Err(
+            format!("interrupted: the results are those of {seconds:.0} of {} s", args.seconds).into()
+        );
+    }
+    let violations = if args.faults.is_some() { checker.finish(fleet) } else { Vec::new() };
     if violations.is_empty() {
         Ok(())
     } else {

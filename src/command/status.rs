@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 /// Show the figures of a running fleet
 ///
 /// If the bridge does not answer, the figures are shown and the exit code is 1: whether the emergency stop is set, who drives and
-/// who waits is then not known. In JSON `bridge` is null, `bridge_silence` says why, and `stop_latched` whether the run's folder
+/// who waits is then not known. What is wrong comes first, in JSON as `alarms`. In JSON `bridge` is null, `bridge_silence` says why, and `stop_latched` whether the run's folder
 /// says that the stop is set.
 #[derive(Clone, Debug, clap::Args)]
 pub struct StatusArgs {
@@ -69,11 +69,12 @@ pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
         let age_s = crate::clock::now().since(run.begun) as f64 * 1e-9;
         let heading = format!("run {} on port {}, {age_s:.0} s\n", run.dir.display(), run.port);
         let style = reports::terminal::style(&std::io::stdout());
-        let link: String = link.iter().flatten().filter_map(line).collect();
+        let link: String = link.iter().flatten().filter_map(line).map(|line| format!("! {line}\n")).collect();
         let latch = latch_line(&fleet, stop_latched);
         format!("{heading}{link}{}{latch}\n{}", fleet.table(&style), fleet.process_table(&style))
     };
-    let status = Status { fleet: &fleet, stop_latched, link: link.as_deref() };
+    let alarms = link.iter().flatten().filter_map(line).chain(fleet.alarms()).collect();
+    let status = Status { fleet: &fleet, alarms, stop_latched, link: link.as_deref() };
     output::print_either(args.json, &status, text)?;
     match fleet.bridge_silence {
         Some(why) => Err(StatusError::BridgeSilent { run: run.dir, why }),
@@ -97,6 +98,8 @@ fn latch_line(fleet: &FleetView, stop_latched: Option<bool>) -> &'static str {
 struct Status<'a> {
     #[serde(flatten)]
     fleet: &'a FleetView,
+    /// What is wrong, in sentences.
+    alarms: Vec<String>,
     /// Whether the run's folder says that the emergency stop is set; `None`: it cannot be read.
     stop_latched: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -120,14 +123,14 @@ fn link_figures(run: &Run) -> Option<Vec<PeerReport>> {
 /// Says why a robot on another machine does not do what the base wants; `None` if it does.
 fn line(peer: &PeerReport) -> Option<String> {
     let mut why = Vec::new();
-    if peer.was_heard && !peer.is_heard {
-        why.push("is not heard");
+    if !peer.is_heard {
+        why.push(if peer.was_heard { "is not heard" } else { "was not heard yet" });
     }
     why.extend(peer.hold.as_deref());
     if peer.is_contested {
         why.push("another machine bears this name, too, and is refused");
     }
-    (!why.is_empty()).then(|| format!("{}: {}\n", peer.robot, why.join("; ")))
+    (!why.is_empty()).then(|| format!("{}: {}", peer.robot, why.join("; ")))
 }
 
 fn newest_figures(run: &Run) -> Result<FleetView, StatusError> {

@@ -10,6 +10,9 @@ const INDENT: usize = 9;
 /// Clients that the live table lists; `mr-slam status` lists all.
 const LIVE_CLIENTS_MAX: usize = 2;
 
+/// A simulated fleet has its first scans within this time of its start, seconds.
+const FIRST_SCAN_S: f64 = 5.0;
+
 const ROBOT_COLUMNS: [Column; 8] = [
     Column { heading: ["robot", ""], width: 8, is_left: true, drop_order: 0 },
     Column { heading: ["state", ""], width: 10, is_left: true, drop_order: 0 },
@@ -35,16 +38,9 @@ const PROCESS_COLUMNS: [Column; 10] = [
 ];
 
 impl FleetView {
-    /// Formats all figures of robots, merging and clients for a terminal.
+    /// Formats all figures of robots, merging and clients for a terminal, and what is wrong first.
     pub fn table(&self, style: &Style) -> String {
-        let mut text = self.figures(style);
-        if let Some(line) = self.silence_line() {
-            text += &paint_lines(&style.wrap(&line, INDENT), style, Emphasis::Alarm);
-        }
-        for line in self.robots.iter().filter_map(old_map) {
-            let line = format!("         {line}");
-            text += &paint_lines(&style.wrap(&line, INDENT), style, Emphasis::Alarm);
-        }
+        let mut text = self.alarm_lines(style) + &self.figures(style);
         for line in self
             .bridge
             .iter()
@@ -57,10 +53,7 @@ impl FleetView {
 
     /// Formats the figures for the live table: what is wrong first, and few lines for many clients.
     pub fn live_table(&self, style: &Style) -> String {
-        let mut text = String::new();
-        for alarm in self.alarms() {
-            text += &paint_lines(&style.wrap(&format!("! {alarm}"), 2), style, Emphasis::Alarm);
-        }
+        let mut text = self.alarm_lines(style);
         let waiting = self.bridge.iter().flat_map(|bridge| &bridge.waiting);
         for address in waiting.clone().take(LIVE_CLIENTS_MAX) {
             let line = format!("? {address} asks to drive: key a, or mr-slam allow {address}");
@@ -80,6 +73,12 @@ impl FleetView {
             text += &client_lines(bridge, style);
         }
         text
+    }
+
+    fn alarm_lines(&self, style: &Style) -> String {
+        let lines =
+            |alarm: String| paint_lines(&style.wrap(&format!("! {alarm}"), 2), style, Emphasis::Alarm);
+        self.alarms().into_iter().map(lines).collect()
     }
 
     /// Says that the bridge does not answer, and what is not known for that reason.
@@ -107,6 +106,12 @@ impl FleetView {
             }
             if robot.has_stale_scans() {
                 alarms.push(format!("{}: no scan for a second or more", robot.robot));
+            }
+            if robot.scans == 0 && self.time_s >= FIRST_SCAN_S {
+                alarms.push(format!(
+                    "{}: no scan has come yet: what sends its scans does not run, or is not reached",
+                    robot.robot
+                ));
             }
             alarms.extend(old_map(robot));
         }
@@ -312,10 +317,26 @@ mod tests {
         let old = "robot1's part of the merged map is 12 s old";
         assert!(plain.contains(&format!("! {old}")) && fleet.table(&Style::PLAIN).contains(old), "{plain}");
         assert!(plain.contains("! robot3's map may be wrong"), "{plain}");
+        let all = fleet.table(&Style::PLAIN);
+        assert!(fleet.alarms().iter().all(|alarm| all.contains(&format!("! {alarm}"))), "{all}");
+        assert!(!plain.contains("no scan has come"), "{plain}");
         assert!(!plain.contains('\x1b'), "no colours in a file: {plain:?}");
         let coloured = fleet.live_table(&Style { width: 80, is_coloured: true });
         assert!(coloured.contains("\x1b[1;31mlost"), "{coloured:?}");
         assert!(coloured.starts_with("\x1b[1;31m! EMERGENCY"), "{coloured:?}");
+    }
+
+    #[test]
+    fn a_robot_of_which_no_scan_has_come_is_named_when_the_fleet_has_started() {
+        let mut stats: Box<FleetStats> = bytemuck::allocation::zeroed_box();
+        stats.robot_count = 1;
+        let told = |stats: &FleetStats| FleetView::new(stats).alarms().len();
+        assert_eq!(told(&stats), 0, "it starts");
+        stats.header.stamp = msg::Stamp::from_seconds(FIRST_SCAN_S);
+        assert_eq!(told(&stats), 1);
+        stats.robots[0].scans = 1;
+        stats.robots[0].scan_hz = 10.0;
+        assert_eq!(told(&stats), 0);
     }
 
     #[test]

@@ -8,12 +8,17 @@ use reports::Page;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// File of a session in its folder.
 const FILE: &str = "session.json";
 /// Largest size of the file, bytes: figures, and pictures of at most 65 maps.
 const FILE_BYTES_MAX: u64 = 256 << 20;
+
+/// Returns the folder of a session of an experiment.
+pub fn folder(experiment: &Path, number: u32) -> PathBuf {
+    experiment.join(format!("session_{number}"))
+}
 
 /// What decides about a session; sessions of one experiment differ in their seeds alone.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -107,7 +107,7 @@ pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
 fn named(dir: &Path) -> Result<RunningFleets, RunError> {
     match Run::open(dir) {
         // A stop of a fleet that has ended stops nothing, and the next one in this folder would begin with it.
-        Ok(run) if !run.is_alive() => Err(RunError::NoneRunning),
+        Ok(run) if !run.is_alive() => Err(RunError::Ended(run.dir)),
         Err(why) if !dir.join("run.json").exists() => {
             let mut lost = RunningFleets::find().lost;
             lost.retain(|fleet| fleet.folder.as_deref() == Some(&absolute(dir)));

@@ -1,4 +1,6 @@
-//! Goals in the run's folder, with which a restarted navigation process goes on.
+//! Goals, exploration and zones, with which a restarted navigation process of the same run goes on.
+//!
+//! The file is in the run's runtime folder, as a rule in memory: a full, slow or read-only disk loses no goal that was cancelled, and no zone.
 
 use crate::process::file_thread::{FileJobs, JobWorker};
 use crate::run::Run;
@@ -113,7 +115,7 @@ pub struct NavigationFile<S> {
 
 impl<S: Storage> NavigationFile<S> {
     pub(super) fn new(run: &Run, storage: S) -> Self {
-        Self { storage, path: run.dir.join(FILE), run_begun: run.begun.0, has_warned: false }
+        Self { storage, path: run.domain.root().join(FILE), run_begun: run.begun.0, has_warned: false }
     }
 
     /// Reads the state of an earlier process of this run; `None` if there was none.

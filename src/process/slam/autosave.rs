@@ -14,6 +14,9 @@ const RETRY_PERIOD: Duration = Duration::from_secs(2);
 /// Longest time from the start to the first save: a process that dies earlier has the log alone.
 const FIRST_SAVE: Duration = Duration::from_secs(1);
 
+/// Time after which a save that has not ended is told: the disk, or the server that has it, does not answer.
+const SLOW_SAVE: Duration = Duration::from_secs(20);
+
 /// Times of the saves, and whether the map has changed since the last.
 pub(super) struct Autosave {
     pub path: PathBuf,
@@ -24,7 +27,10 @@ pub(super) struct Autosave {
     not_before: Monotonic,
     /// The map has changed since it was saved.
     pub changed: bool,
-    busy: bool,
+    /// When the save that goes on began.
+    busy_since: Option<Monotonic>,
+    /// Whether it was told that the save takes long.
+    is_slow_told: bool,
     /// Pause after the first save, different for each robot so that a fleet does not save all at once.
     turn: Duration,
     saved: bool,
@@ -40,10 +46,11 @@ impl Autosave {
         Self {
             path: sessions::file(&sessions::folder(run), robot),
             every,
-            due: after(now, FIRST_SAVE.min(turn)),
+            due: now + FIRST_SAVE.min(turn),
             not_before: now,
             changed: false,
-            busy: false,
+            busy_since: None,
+            is_slow_told: false,
             turn,
             saved: false,
             reported: None,
@@ -61,7 +68,7 @@ impl Autosave {
     }
 
     pub fn is_due(&self, now: Monotonic) -> bool {
-        self.is_wanted() && !self.busy && now >= self.due
+        self.is_wanted() && self.busy_since.is_none() && now >= self.due
     }
 
     /// Saves as soon as may be, because the session log goes on from there only.
@@ -70,33 +77,41 @@ impl Autosave {
         self.due = self.due.min(self.not_before);
     }
 
-    pub fn begin(&mut self) {
-        (self.busy, self.changed) = (true, false);
+    pub fn begin(&mut self, now: Monotonic) {
+        (self.busy_since, self.changed) = (Some(now), false);
+    }
+
+    /// Tells once of a save that does not end. SLAM goes on meanwhile, and saves nothing else.
+    pub fn watch(&mut self, now: Monotonic) {
+        let is_slow = self.busy_since.is_some_and(|since| now >= since + SLOW_SAVE);
+        if is_slow && !std::mem::replace(&mut self.is_slow_told, true) {
+            let path = self.path.display();
+            tracing::warn!("slam: {path}: not saved for {} s: the disk does not answer", SLOW_SAVE.as_secs());
+        }
     }
 
     /// Records that the file worker had no room for the save.
     pub fn postpone(&mut self, now: Monotonic) {
-        (self.busy, self.changed) = (false, true);
-        self.due = after(now, self.every.unwrap_or_default());
-        self.not_before = after(now, RETRY_PERIOD);
+        (self.busy_since, self.changed) = (None, true);
+        self.due = now + self.every.unwrap_or_default();
+        self.not_before = now + RETRY_PERIOD;
     }
 
     pub fn finish(&mut self, outcome: &FileJobOutcome, now: Monotonic) {
-        self.busy = false;
+        self.busy_since = None;
+        if std::mem::take(&mut self.is_slow_told) {
+            tracing::warn!("slam: the disk answers again, after {:.0} s", outcome.took.as_secs_f64());
+        }
         let first = !std::mem::replace(&mut self.saved, true);
         let pause = if first { self.turn } else { self.every.unwrap_or_default() };
-        self.due = after(now, pause.max(outcome.took * SAVING_SHARE_MAX));
+        self.due = now + pause.max(outcome.took * SAVING_SHARE_MAX);
         let why = outcome.result.as_ref().err().map(ToString::to_string);
         let rest = outcome.took * SAVING_SHARE_MAX;
-        self.not_before = after(now, if why.is_some() { rest.max(RETRY_PERIOD) } else { rest });
+        self.not_before = now + if why.is_some() { rest.max(RETRY_PERIOD) } else { rest };
         if let Some(why) = why.as_ref().filter(|why| self.reported.as_ref() != Some(why)) {
             tracing::warn!("slam: the session is not saved: {why}; it is tried again later");
         }
         self.changed |= why.is_some();
         self.reported = why;
     }
-}
-
-fn after(now: Monotonic, pause: Duration) -> Monotonic {
-    Monotonic(now.0 + pause.as_nanos() as u64)
 }

@@ -302,11 +302,12 @@ impl WorkerState {
     }
 
     fn autosave_if_due(&mut self) {
+        self.autosave.watch(self.now);
         if self.log.needs_session() && self.back.grows_map() {
             self.autosave.save_soon();
         }
         if self.autosave.is_due(self.now) && !self.back.nodes().is_empty() {
-            self.autosave.begin();
+            self.autosave.begin(self.now);
             self.defer_until_state(PendingRequest::Autosave);
         }
     }
