@@ -7,7 +7,7 @@ use super::{FrontEnd, TrackedPose};
 use crate::beam_poses::{BeamPoses, scale_motion};
 use crate::cloud::Cloud;
 use crate::stages::Stage;
-use msg::{Pose2, Scan, TrackingState, pose::wrap_angle};
+use msg::{Pose2, Scan, Stamp, TrackingState, pose::wrap_angle};
 use std::sync::Arc;
 
 /// Alignments of one scan whose motion is estimated with its pose: one or two leave errors that swing from scan
@@ -31,7 +31,10 @@ impl FrontEnd {
         let seconds = BeamPoses::sweep_duration_s(scan);
         let from_odometry = match seconds {
             Some(0.0) => Some(fixed),
-            Some(seconds) => self.motion.beam_poses(base_from_scan, scan, seconds, continuous_from_base),
+            Some(seconds) => {
+                let config = &self.config.odometry;
+                self.motion.beam_poses(base_from_scan, scan, seconds, continuous_from_base, config)
+            }
             None => None,
         };
         let interval_s = self.motion.last.map(|last| scan.header.stamp - last.stamp);
@@ -42,14 +45,29 @@ impl FrontEnd {
         self.counts.not_deskewed += u64::from(from_odometry.is_none());
         let beam_poses = from_odometry.unwrap_or(fixed);
         let cloud = self.scan_buffers.cloud(scan, &beam_poses, &self.config);
-        let pose = self.match_cloud(&cloud, prediction);
+        let pose = self.match_cloud(scan.header.stamp, &cloud, prediction);
         (beam_poses, cloud, pose)
     }
 
-    fn match_cloud(&mut self, cloud: &Cloud, prediction: &PosePrediction) -> TrackedPose {
+    /// Matches a scan around its predicted pose; where odometry may have jumped, also around the pose without it.
+    fn match_cloud(&mut self, stamp: Stamp, cloud: &Cloud, prediction: &PosePrediction) -> TrackedPose {
         let after_loss =
             self.node_builder.last_scan_lost || self.matcher.newest_saw_nothing(&self.config.tracking);
-        self.matcher.match_scan(cloud, prediction, after_loss, &self.config, &mut *self.stages)
+        let matched = self.matcher.match_scan(cloud, prediction, after_loss, &self.config, &mut *self.stages);
+        if !self.matcher.may_have_jumped(cloud, prediction.step, &matched) {
+            return matched;
+        }
+        let Some(stood) = self.motion.predict_without_odometry(stamp, &self.config.odometry) else {
+            return matched;
+        };
+        let other = self.matcher.match_scan(cloud, &stood, after_loss, &self.config, &mut *self.stages);
+        if !self.matcher.has_jumped(cloud, prediction.step, &matched, &other) {
+            return matched;
+        }
+        // Odometry counts from the matched pose.
+        self.motion.continuous_from_reference = None;
+        self.counts.slips += 1;
+        other
     }
 
     /// Without odometry: the motion since the last scan is assumed to continue through this one. It follows
@@ -71,7 +89,7 @@ impl FrontEnd {
                 .unwrap_or(BeamPoses::still(base_from_scan));
             self.stages.stage_started(Stage::Cloud);
             let cloud = self.scan_buffers.cloud(scan, &beam_poses, &self.config);
-            let pose = self.match_cloud(&cloud, prediction);
+            let pose = self.match_cloud(scan.header.stamp, &cloud, prediction);
             let lost = !pose.is_tracked || pose.state == TrackingState::Starting;
             if lost || pass == PASSES {
                 return (beam_poses, cloud, pose);

@@ -18,6 +18,12 @@ const CONSTANT_MOTION_TIMES_MAX: f64 = 3.0;
 const ODOMETRY_JUMP_FACTOR: f64 = 3.0;
 /// Added to what the robot can have driven: odometry's own jitter, metres.
 const ODOMETRY_JUMP_MARGIN_M: f64 = 1.0;
+/// A step of odometry between two scans may be no motion if it exceeds the step before it this many times, and this, metres and radians.
+const STEP_FACTOR: f64 = 2.0;
+const STEP_MIN_M: f64 = 0.15;
+const STEP_MIN_RAD: f64 = 0.2;
+/// It is none if it also exceeds what the robot can drive in that time this many times, and that.
+const JUMP_FACTOR: f64 = 3.0;
 /// Without odometry the speed is uncertain by this share of the robot's largest one (one standard deviation).
 pub(crate) const SPEED_SIGMA_SHARE: f64 = 0.3;
 
@@ -42,6 +48,8 @@ pub(super) struct PosePrediction {
     distance_m: f64,
     /// Whether it may be given out without a match: odometry measured the motion since the newest reference, and the LiDAR works.
     pub allows_dead_reckoning: bool,
+    /// What odometry's step since the last scan may be.
+    pub step: OdometryStep,
 }
 
 impl PosePrediction {
@@ -64,6 +72,7 @@ impl PosePrediction {
             start_covariance,
             distance_m,
             allows_dead_reckoning: false,
+            step: OdometryStep::Motion,
         }
     }
 
@@ -144,6 +153,34 @@ impl FrontEnd {
     }
 }
 
+/// What a step of odometry between two scans may be. A driver that is started again below its publisher, or whose pose is set, jumps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum OdometryStep {
+    /// Too short to matter: the search window has both.
+    Motion,
+    /// A motion, or a jump.
+    Unclear,
+    /// No motion that the robot can make in this time.
+    Jump,
+}
+
+impl OdometryStep {
+    /// `moved`: odometry's motion in this time; `before`: the robot's motion between the two scans before.
+    fn new(moved: Pose2, seconds: f64, before: Pose2, config: &OdometryConfig) -> Self {
+        let length = |pose: Pose2| [pose.x_m.hypot(pose.y_m), pose.yaw_rad.abs()];
+        let exceeds = |limit: [f64; 2]| {
+            let [m, rad] = length(moved);
+            m > limit[0] + STEP_MIN_M || rad > limit[1] + STEP_MIN_RAD
+        };
+        let possible = [config.speed_max_m_s, config.turn_max_rad_s];
+        match exceeds(length(before).map(|length| STEP_FACTOR * length)) {
+            false => Self::Motion,
+            true if exceeds(possible.map(|speed| JUMP_FACTOR * speed * seconds)) => Self::Jump,
+            true => Self::Unclear,
+        }
+    }
+}
+
 /// Odometry, the last scan, and the reference that poses are predicted from.
 pub(super) struct MotionModel {
     pub odometry: OdometryBuffer,
@@ -187,14 +224,18 @@ impl MotionModel {
                 start_covariance: Matrix3::zeros(),
                 distance_m: 0.0,
                 allows_dead_reckoning: false,
+                step: OdometryStep::Motion,
             };
         };
         let interval_s = stamp - last.stamp;
+        let mut step = OdometryStep::Motion;
         if let (Some(before), Some(now)) = (last.continuous_from_base, continuous_from_base) {
             let possible_m = config.speed_max_m_s * interval_s + ODOMETRY_JUMP_MARGIN_M;
             if before.distance_m(now) > ODOMETRY_JUMP_FACTOR * possible_m {
                 self.continuous_from_reference = None;
             }
+            let motion_before = last.motion.map_or(Pose2::IDENTITY, |(motion, _)| motion);
+            step = OdometryStep::new(before.between(now), interval_s, motion_before, config);
         }
         // From the newest reference, not from the last scan: many small steps would add up to more
         // uncertainty than one long one.
@@ -203,11 +244,21 @@ impl MotionModel {
             let measured = MeasuredMotion { moved: before.between(now), unmeasured_s: 0.0 };
             let start = (node.local_from_base, self.reference_covariance);
             let prediction = PosePrediction::by_odometry(start, measured, config);
-            return PosePrediction { allows_dead_reckoning: true, ..prediction };
+            return PosePrediction { allows_dead_reckoning: step != OdometryStep::Jump, step, ..prediction };
         }
         if let Some(measured) = self.measured_motion(last, stamp, config) {
             return PosePrediction::by_odometry((last.local_from_base, last.covariance), measured, config);
         }
+        Self::predict_by_last_motion(last, interval_s, config)
+    }
+
+    /// The pose expected at a stamp if what odometry says since the last scan is no motion.
+    pub fn predict_without_odometry(&self, stamp: Stamp, config: &OdometryConfig) -> Option<PosePrediction> {
+        let last = self.last.as_ref()?;
+        Some(Self::predict_by_last_motion(last, stamp - last.stamp, config))
+    }
+
+    fn predict_by_last_motion(last: &LastScan, interval_s: f64, config: &OdometryConfig) -> PosePrediction {
         let motion = last.motion.filter(|_| interval_s < CONSTANT_MOTION_MAX_S);
         let step = motion
             .map_or(Pose2::IDENTITY, |(motion, before_s)| continue_motion(motion, before_s, interval_s));
@@ -218,6 +269,7 @@ impl MotionModel {
             start_covariance: last.covariance,
             distance_m: step.x_m.hypot(step.y_m),
             allows_dead_reckoning: false,
+            step: OdometryStep::Motion,
         }
     }
 
@@ -235,19 +287,24 @@ impl MotionModel {
         Some(measured).filter(|_| distance_m <= ODOMETRY_JUMP_FACTOR * possible_m)
     }
 
-    /// Sensor poses of a scan whose beams took `seconds`, from odometry; `None` if it does not cover the sweep.
+    /// Sensor poses of a scan whose beams took `seconds`, from odometry; `None` if it does not cover the sweep, or jumps.
     pub fn beam_poses(
         &self,
         base_from_scan: Pose2,
         scan: &Scan,
         seconds: f64,
         continuous_from_base: Option<Pose2>,
+        config: &OdometryConfig,
     ) -> Option<BeamPoses> {
         let before = continuous_from_base?;
-        BeamPoses::new(base_from_scan, scan, seconds, |after_s| {
+        let moved = |after_s| {
             let then = scan.header.stamp + core::time::Duration::from_secs_f64(after_s);
             Some(before.between(self.odometry.at(then)?))
-        })
+        };
+        // Odometry that jumps during the sweep tells nothing of it.
+        let step = |moved| OdometryStep::new(moved, seconds, Pose2::IDENTITY, config);
+        moved(seconds).filter(|moved| step(*moved) != OdometryStep::Jump)?;
+        BeamPoses::new(base_from_scan, scan, seconds, moved)
     }
 
     /// After wheels have slipped, odometry counts from the matched pose, so that the slip no longer pulls.

@@ -1,8 +1,8 @@
 //! Scan matching against the local map: a correlative search around the prediction, then an alignment.
 
-use super::motion::PosePrediction;
+use super::motion::{OdometryStep, PosePrediction};
 use crate::align::{Prior, Reference, ScanAlignment, align};
-use crate::cloud::{Agreement, Cloud};
+use crate::cloud::{Agreement, Cloud, SEE_THROUGH_M};
 use crate::config::{SlamConfig, TrackingConfig};
 use crate::likelihood_field::{LikelihoodField, SearchBuffers, SearchLimits, SearchWindow};
 use crate::node::Node;
@@ -37,6 +37,12 @@ const BREAK_SHARE: f32 = 0.3;
 /// Least number of contradicted points for that, counted in each of the newest scans that see through or are seen
 /// through.
 const BREAK_POINTS_MIN: usize = 40;
+
+/// Largest contradicted share of a scan that fits, and by how much more of it is contradicted where it clearly fits less, 0 to 1.
+const FITS_SHARE_MAX: f32 = 0.15;
+const CLEARLY_SHARE: f32 = 0.1;
+/// Share of a scan's points that one reference shows from which on the robot has not turned away, 0 to 1.
+const SAME_VIEW_SHARE_MIN: f32 = 0.9;
 
 /// Standard deviation of a pose by odometry alone from which the robot is lost, metres: beyond, it does not find the door that
 /// it drives to.
@@ -209,12 +215,70 @@ impl ScanMatcher {
     /// Whether a scan placed here and the reference scans see through what the other one saw, so that the
     /// robot is elsewhere. Where they only look at different things, odometry may well be right.
     pub fn contradicts(&self, cloud: &Cloud, local_from_base: Pose2) -> bool {
+        self.agreement(cloud, local_from_base).is_contradicted(BREAK_SHARE, BREAK_POINTS_MIN)
+    }
+
+    /// Points of a scan placed here and of the reference scans, compared with each other.
+    fn agreement(&self, cloud: &Cloud, local_from_base: Pose2) -> Agreement {
         let mut agreement = Agreement::default();
         for node in &self.references {
             let node_from_base = node.local_from_base.between(local_from_base);
             agreement += Agreement::both_ways(&node.cloud, cloud, node_from_base);
         }
-        agreement.is_contradicted(BREAK_SHARE, BREAK_POINTS_MIN)
+        agreement
+    }
+
+    /// Whether it is worth to match a scan without odometry, too: `moved` is its match where odometry says.
+    pub fn may_have_jumped(&self, cloud: &Cloud, step: OdometryStep, moved: &TrackedPose) -> bool {
+        match step {
+            OdometryStep::Motion => false,
+            OdometryStep::Jump => true,
+            OdometryStep::Unclear => {
+                !moved.is_tracked || self.contradicted_share(cloud, moved) > CLEARLY_SHARE
+            }
+        }
+    }
+
+    /// Whether a scan that was matched where odometry says shows that odometry has jumped. `stood`: the scan matched without odometry.
+    pub fn has_jumped(
+        &self,
+        cloud: &Cloud,
+        step: OdometryStep,
+        moved: &TrackedPose,
+        stood: &TrackedPose,
+    ) -> bool {
+        let [by_odometry, without] = [moved, stood].map(|pose| self.contradicted_share(cloud, pose));
+        match step {
+            OdometryStep::Motion => false,
+            // Odometry is right only if the scan says so.
+            OdometryStep::Jump => {
+                let fits = moved.is_tracked && by_odometry < FITS_SHARE_MAX;
+                !fits || (stood.is_tracked && by_odometry + CLEARLY_SHARE > without)
+            }
+            // Odometry is wrong only if the scan says so: it contradicts it, or shows what it showed before.
+            OdometryStep::Unclear => {
+                let fits = stood.is_tracked && without < FITS_SHARE_MAX;
+                let shows_the_same =
+                    || !moved.is_tracked && self.known_share(cloud, stood) > SAME_VIEW_SHARE_MIN;
+                fits && (without + CLEARLY_SHARE < by_odometry || shows_the_same())
+            }
+        }
+    }
+
+    /// Share of a scan's compared points that the references contradict, 0 to 1.
+    fn contradicted_share(&self, cloud: &Cloud, pose: &TrackedPose) -> f32 {
+        let found = self.agreement(cloud, pose.local_from_base);
+        found.contradict as f32 / (found.agree + found.contradict).max(1) as f32
+    }
+
+    /// Share of a scan's points that lie on surfaces of the reference that shows most of them, 0 to 1.
+    fn known_share(&self, cloud: &Cloud, pose: &TrackedPose) -> f32 {
+        let shares = self.references.iter().map(|node| {
+            let node_from_base = node.local_from_base.between(pose.local_from_base);
+            let found = node.cloud.compare(cloud, node_from_base, SEE_THROUGH_M);
+            found.agree as f32 / cloud.points().len().max(1) as f32
+        });
+        shares.fold(0.0, f32::max)
     }
 
     /// Whether the newest reference saw nothing, so that its pose is one by odometry.
