@@ -15,6 +15,7 @@ mod checks;
 mod clock;
 mod error;
 mod frame_tree;
+mod frozen;
 mod input;
 mod mount;
 mod notices;
@@ -34,6 +35,7 @@ pub use publishers::{PublisherId, RobotTopic, Sender};
 pub use suspects::OutlierError;
 
 use checks::{check_scan, check_transform, empty_scan, planar_pose};
+use frozen::RepeatedScan;
 use mount::Mounts;
 use msg::{
     Clock, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp, Transforms,
@@ -97,6 +99,7 @@ struct RobotState {
     publishers: RobotPublishers,
     drivers: Drivers,
     watch: SensorWatch,
+    repeated_scan: RepeatedScan,
 }
 
 /// One message from a source, behind its encapsulation header.
@@ -211,6 +214,11 @@ impl ExternalWorld {
         }
         let frame = read::laser_scan(&mut from, &mut self.scan)?;
         check_scan(&mut self.scan)?;
+        let state = &mut self.robots[robot.index()];
+        let odom_from_base = state.last_pose.map(|last| last.odom_from_base);
+        if state.repeated_scan.is_frozen(&self.scan, odom_from_base) {
+            return Err(WorldError::FrozenScans { robot });
+        }
         if !self.mount_scan(origin, robot, frame)? {
             return Ok(());
         }

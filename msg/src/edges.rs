@@ -186,6 +186,12 @@ impl EdgeCommand {
         (low != high).then(|| Self { edge, action: action as u32, ..Self::default() })
     }
 
+    /// Returns the number of the later one of the two robots.
+    pub fn later_robot(&self) -> usize {
+        let fits = |number: &usize| number * (number - 1) / 2 >= self.edge as usize;
+        (2..ROBOTS_MAX).find(fits).unwrap_or(ROBOTS_MAX)
+    }
+
     /// Parses `pin 1 2`, `unpin 1 2` or `undo 1 2`, with the robots' numbers.
     pub fn parse(text: &str) -> Option<Self> {
         let mut words = text.split_whitespace();
@@ -230,6 +236,10 @@ mod tests {
         assert_eq!(edge("pin 1 2"), Some((1, EdgeAction::Pin as u32)));
         assert_eq!(edge(" undo 3 1 "), Some((2, EdgeAction::Undo as u32)));
         assert_eq!(edge("unpin 16 15"), Some((MERGE_EDGES_MAX as u32, EdgeAction::Unpin as u32)));
+        for (a, b) in (2..=ROBOTS_MAX).flat_map(|b| (1..b).map(move |a| (a, b))) {
+            let command = EdgeCommand::parse(&format!("pin {a} {b}")).unwrap();
+            assert_eq!(command.later_robot(), b);
+        }
         for wrong in
             ["", "pin", "pin 1", "pin 1 1", "pin 0 1", "pin 1 65", "pin 1 2 3", "keep 1 2", "pin 1 -2"]
         {

@@ -277,6 +277,10 @@ impl Core {
     fn queue_edge_command(&mut self, text: &str) -> Result<(), InputError> {
         let quoted = || InputError::EdgeCommand { text: text.chars().take(QUOTED_MAX).collect() };
         let command = EdgeCommand::parse(text).ok_or_else(quoted)?;
+        let (number, robot_count) = (command.later_robot(), self.fleet.robot_count());
+        if number > robot_count {
+            return Err(InputError::NoSuchRobot { number: number as i32, robot_count });
+        }
         let is_queued = self.commands.push_edge_command(command);
         is_queued.then_some(()).ok_or(InputError::TooManyEdgeCommands)
     }

@@ -56,6 +56,15 @@ pub enum WorldError {
         /// What they send.
         topic: RobotTopic,
     },
+    /// The scans repeat one measurement while the robot moves.
+    #[error(
+        "{robot}: its scans repeat the same ranges while its odometry moves, and are refused until they change: its LiDAR or the \
+         LiDAR's driver hangs"
+    )]
+    FrozenScans {
+        /// The robot whose scans they are.
+        robot: msg::RobotId,
+    },
     /// The transform map -> odom belongs to SLAM (REP-105).
     #[error(
         "{parent} -> {child} is refused: SLAM owns map -> odom (REP-105); the rest of the message is taken"

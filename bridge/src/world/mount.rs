@@ -11,7 +11,7 @@
 use super::frame_tree::{FrameTrees, without_slash};
 use super::{DDS_SOURCE, ExternalWorld, Notices, Origin, SourceId, WorldError};
 use msg::{Pose2, RobotFrame, RobotFrameTransform, RobotId, Stamp};
-use ros_messages::names::FleetFrame;
+use ros_messages::names::{FleetFrame, RobotNames};
 use ros_messages::spatial_pose::{ScannerMount, SpatialPose, TILT_MAX_DEG};
 use thiserror::Error;
 
@@ -114,12 +114,22 @@ impl Mounts {
     }
 
     /// Tells the operator once that odometry on a topic of all robots does not say whose it is.
-    pub(super) fn tell_unnamed(&mut self, parent: &str, child: &str, notices: &mut Notices) {
+    pub(super) fn tell_unnamed(
+        &mut self,
+        parent: &str,
+        child: &str,
+        names: &RobotNames,
+        notices: &mut Notices,
+    ) {
         if !std::mem::replace(&mut self.is_unnamed_told, true) {
+            // Of the first robot, as an example.
+            let topic =
+                |name| names.robots().next().map_or_else(String::new, |robot| names.topic(robot, name));
+            let [odom, base, tf, tf_static] = ["odom", "base_footprint", "tf", "tf_static"].map(topic);
             notices.push(format!(
                 "{parent} -> {child} on /tf does not say which robot's it is, and is not used: several robots would read the \
-                 same frames. Give each robot its own: frames robot1/odom, robot1/base_footprint (frame_prefix), or its \
-                 transforms on /robot1/tf and /robot1/tf_static. Until then odometry comes from /robot1/odom alone"
+                 same frames. Give each robot its own: frames {}, {} (frame_prefix), or its transforms on {tf} and {tf_static}. Until \
+                 then odometry comes from {odom} alone", without_slash(&odom), without_slash(&base)
             ));
         }
     }

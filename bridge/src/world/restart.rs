@@ -3,6 +3,7 @@
 //!
 //! Stamps of ROS 2 are taken as they are. Without this, all scans would be refused until the time has caught up.
 
+use super::frozen::RepeatedScan;
 use super::publishers::PublisherId;
 use super::suspects::STEP_MESSAGES;
 use super::{ExternalWorld, Origin, RobotState, SentPose, SourceId};
@@ -104,12 +105,15 @@ impl ExternalWorld {
         let state = &mut self.robots[robot.index()];
         if state.drivers.is_restart(origin.publisher, is_of_transform, odom_from_base) {
             self.notices.push(format!("{robot}: its driver was started again: odometry has a new origin"));
+            state.repeated_scan = RepeatedScan::default();
             return true;
         }
         let before = state.last_pose.filter(|last| last.is_of_transform == is_of_transform);
         let Some(jump) = before.and_then(|before| Jump::find(&before, sent, odom_from_base)) else {
             return false;
         };
+        // That is no motion before a LiDAR that hangs.
+        state.repeated_scan = RepeatedScan::default();
         let begins_anew = origin.publisher.is_some();
         state.watch.add_jump(robot, &jump, begins_anew, origin.received, &mut self.notices);
         begins_anew

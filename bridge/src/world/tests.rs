@@ -224,7 +224,7 @@ fn odometry_that_loses_its_origin_below_one_publisher_is_another_writer() {
     assert_eq!(send(driver, 100, 0.0).0, 2);
     send(None, 1000, 0.0);
     let (restarts, told) = send(None, 1001, 3.0);
-    assert!(restarts == 2 && told.contains("taken for motion"), "{told}");
+    assert!(restarts == 2 && told.contains("the scans tell"), "{told}");
 }
 
 #[test]
@@ -247,6 +247,22 @@ fn a_clock_that_was_set_back_is_believed_when_several_scans_agree() {
     assert_eq!(after[first], (true, Some((robot(1), -3600.0))));
     assert!(after[first + 1..].iter().all(|answer| *answer == (true, None)), "{after:?}");
     assert_eq!(messages.borrow().len(), 2 + after.len() - first);
+}
+
+#[test]
+fn scans_of_a_lidar_that_hangs_are_refused_while_the_robot_moves() {
+    let (mut world, _) = world();
+    let mut send = |tenths: i64, x_m: f64, range_m: f32| {
+        let stamp = tenths * SECOND / 10;
+        receive_tree(&mut world, 1, stamp, vec![edge("odom_1", "base_link_1", stamp, x_m, LEVEL)]).unwrap();
+        receive_scan(&mut world, 1, &LaserScan { ranges: vec![range_m; 3], ..scan_message(stamp) })
+    };
+    let refused: Vec<bool> = (0..30).map(|k| send(k, 0.02 * k as f64, 1.0).is_err()).collect();
+    assert!(!refused[15] && refused[16..].iter().all(|is| *is), "{refused:?}");
+    assert!(send(30, 0.6, 1.0).unwrap_err().to_string().contains("robot1: its scans repeat"));
+    assert_eq!(send(31, 0.6, 1.1), Ok(()));
+    // Odometry that jumps is no motion.
+    (32..60).for_each(|k| assert_eq!(send(k, if k < 40 { 0.6 } else { 5.0 }, 1.1), Ok(())));
 }
 
 #[test]

@@ -156,7 +156,7 @@ impl SensorWatch {
         let how = if begins_anew {
             "it is taken as a driver that was started again, and not for motion"
         } else {
-            "it is taken for motion"
+            "the scans tell SLAM whether it is motion"
         };
         notices.push(format!("{robot}: odometry {jump}{again}: {how}"));
     }
