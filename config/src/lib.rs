@@ -288,7 +288,7 @@ impl FleetConfig {
             RobotSource::Simulator => &self.fleet.room,
             RobotSource::Headset => "the world of a headset",
             RobotSource::Ros => "a world over ROS 2",
-            RobotSource::Robots => "robots on other machines",
+            RobotSource::Robots => "the rooms of other machines",
         }
     }
 

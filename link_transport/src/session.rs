@@ -10,6 +10,7 @@ use link::table::{Direction, Priority, key, keys};
 use serde_json::{Value, json};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 use zenoh::Wait;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::{CongestionControl, Priority as ZenohPriority};
@@ -27,8 +28,10 @@ const WITHOUT_END: i64 = -1;
 /// Times for which a machine tries to connect by QUIC and then by TLS, milliseconds: attempts take [`OPEN_MS`] at most. QUIC,
 /// which bears losses better, has more of them.
 const PROTOCOLS_MS: [i64; 2] = [8000, 4000];
-/// Pause before both are tried again.
-const PROTOCOLS_PAUSE: std::time::Duration = std::time::Duration::from_millis(500);
+/// Pause before they are tried again.
+const PROTOCOLS_PAUSE: Duration = Duration::from_millis(500);
+/// Time between two warnings that there is no connection.
+const TELL_PERIOD: Duration = Duration::from_secs(60);
 /// Largest batch of messages, bytes: an urgent message waits for one of them.
 const BATCH_BYTES: u32 = 8192;
 /// Bytes that wait in the operating system: 0.13 s at 1 Mbit/s. Urgent messages cannot overtake them.
@@ -84,28 +87,35 @@ pub struct SessionConfig {
 }
 
 impl SessionConfig {
-    /// Opens a session. A machine that connects waits until it has. If QUIC is wanted it tries QUIC and TLS in turns: some
-    /// networks let no UDP through, and a handshake that somebody does not finish occupies a QUIC port for 30 s.
+    /// Opens a session. A machine that connects waits until it has, and says once a minute why it has not. If QUIC is wanted it tries
+    /// QUIC and TLS in turns: some networks let no UDP through, and a handshake that somebody does not finish occupies a QUIC port
+    /// for 30 s.
     fn open(&self) -> Result<zenoh::Session, SessionError> {
-        if self.listens() || self.endpoint.protocol != Protocol::Quic {
+        if self.listens() {
             return zenoh::open(self.to_zenoh(WITHOUT_END)?).wait().map_err(failed("cannot open a session"));
         }
-        let by_tls = Self { endpoint: self.endpoint.with_protocol(Protocol::Tls), ..self.clone() };
-        let configs = [self.to_zenoh(PROTOCOLS_MS[0])?, by_tls.to_zenoh(PROTOCOLS_MS[1])?];
-        let mut is_told = false;
+        let mut configs = vec![self.to_zenoh(PROTOCOLS_MS[0])?];
+        let mut how = "it is tried until there is one";
+        if self.endpoint.protocol == Protocol::Quic {
+            let by_tls = Self { endpoint: self.endpoint.with_protocol(Protocol::Tls), ..self.clone() };
+            configs.push(by_tls.to_zenoh(PROTOCOLS_MS[1])?);
+            how = "QUIC and TLS are tried in turns until there is one";
+        }
+        let mut told: Option<Instant> = None;
         loop {
             for config in &configs {
                 match zenoh::open(config.clone()).wait() {
                     Ok(session) => return Ok(session),
-                    Err(why) if !is_told => {
+                    Err(why) if told.is_none_or(|told| told.elapsed() >= TELL_PERIOD) => {
+                        told = Some(Instant::now());
                         tracing::warn!(
-                            "{}: no connection ({why}); QUIC and TLS are tried in turns",
+                            "{}: no connection ({why}); {how}. Look whether the base runs and is reached, and whether this machine's key \
+                             is of its fleet",
                             self.endpoint
                         );
                     }
                     Err(_) => {}
                 }
-                is_told = true;
             }
             std::thread::sleep(PROTOCOLS_PAUSE);
         }

@@ -31,6 +31,27 @@ pub const POLL_PERIOD: Duration = Duration::from_millis(20);
 /// Messages read in one step, so that a peer that sends without end does not hold up the others.
 const RECEIVED_MAX: usize = 256;
 
+/// Time after which a peer that was never heard is named.
+const FIRST_HEARD_MAX: Duration = Duration::from_secs(30);
+
+/// Tells once that a peer has not been heard since the start.
+#[derive(Clone, Copy, Debug)]
+struct FirstHeard(Option<Monotonic>);
+
+impl FirstHeard {
+    fn after(start: Monotonic) -> Self {
+        Self(Some(start + FIRST_HEARD_MAX))
+    }
+
+    /// Returns, once, whether the time is over and the peer was not heard.
+    fn is_overdue(&mut self, is_heard: bool, now: Monotonic) -> bool {
+        if is_heard {
+            self.0 = None;
+        }
+        self.0.take_if(|at| now >= *at).is_some()
+    }
+}
+
 /// Counts messages that are not of this format, and warns of the first.
 #[derive(Debug, Default)]
 struct InvalidMessages(u64);

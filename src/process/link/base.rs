@@ -1,7 +1,7 @@
 //! The link's end at the base: it writes the channels of robots that are on other machines.
 
 use super::demand::ScanDemands;
-use super::{InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl};
+use super::{FirstHeard, InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl};
 use crate::channel;
 use crate::clock::Epoch;
 use crate::ports::{ChannelError, Clock as _, MAP_PAUSE, Ports, ReadPort, WriteMapPort, WritePort};
@@ -83,10 +83,10 @@ struct SubmapNumbers {
 }
 
 /// What log and channel say of a robot at present.
-#[derive(Default)]
 struct Told {
     is_heard: bool,
     is_contested: bool,
+    first_heard: FirstHeard,
     /// `None` before the first.
     hold: Option<Hold>,
 }
@@ -193,7 +193,12 @@ impl<P: Ports> RobotMirror<P> {
             end: BaseEnd::new(session),
             clock: SourceClock::new(ClockOffset::Measured),
             pose_estimates: 0,
-            told: Told::default(),
+            told: Told {
+                is_heard: false,
+                is_contested: false,
+                first_heard: FirstHeard::after(ports.clock().now()),
+                hold: None,
+            },
             numbers: SubmapNumbers::default(),
             newest_pose: Stamp(0),
             late_scans: 0,
@@ -290,6 +295,9 @@ impl<P: Ports> RobotMirror<P> {
         let (is_heard, is_contested) = (self.end.is_heard(now), self.end.is_contested(now));
         if self.told.is_heard && !is_heard {
             tracing::warn!("{} is not heard any more; its map stays as it is", self.name);
+        }
+        if self.told.first_heard.is_overdue(is_heard, now) {
+            tracing::warn!("{} has not been heard yet", self.name);
         }
         if !self.told.is_contested && is_contested {
             tracing::warn!(

@@ -1,6 +1,6 @@
 //! The link's end on a robot's machine: its map, poses and state go to the base, velocities and the stop come back.
 
-use super::{InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl};
+use super::{FirstHeard, InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl};
 use crate::channel;
 use crate::clock::Epoch;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
@@ -44,6 +44,7 @@ pub struct RobotLink<P: Ports, T, S> {
     listeners: Vec<P::Listener>,
     invalid: InvalidMessages,
     told: Told,
+    first_heard: FirstHeard,
 }
 
 /// What the log says of the base at present.
@@ -69,7 +70,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             velocity: ports.writer(&channel::base_velocity(ROBOT))?,
             submap_request: ports.writer(&channel::submap_request(ROBOT))?,
         };
-        let link = &run.config.link;
+        let (link, clock) = (&run.config.link, ports.clock());
         let scans = ScanRate::new(link.scan_rate_hz.max(link.drive_rate_hz), link.scan_beams);
         Ok(Self {
             name: run.config.robot_name(ROBOT),
@@ -78,7 +79,8 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             end: RobotEnd::new(session, run_number(run), SenderConfig::default(), scans),
             inputs,
             outputs,
-            clock: ports.clock(),
+            first_heard: FirstHeard::after(clock.now()),
+            clock,
             epoch: run.epoch,
             listeners: vec![ports.listener(&channel::pose_estimate(ROBOT))?],
             invalid: InvalidMessages::default(),
@@ -197,6 +199,12 @@ impl<P: Ports, T: Transport, S: StopControl> ProcessLoop for RobotLink<P, T, S> 
         let (is_heard, is_late) = (self.end.is_heard(now), self.end.is_late(now));
         let is_refused = is_heard && self.end.is_refused();
         self.told.update(Told { is_heard, is_refused, is_late }, &self.name);
+        if self.first_heard.is_overdue(is_heard, now) {
+            tracing::warn!(
+                "no base has been heard yet; the robot maps meanwhile. Look whether the base runs, and names {} in --names",
+                self.name
+            );
+        }
         let transport = &mut self.transport;
         self.end.poll(now, &mut |kind, bytes: &[u8]| transport.send(ROBOT.index(), kind, bytes));
         now + POLL_PERIOD
