@@ -264,7 +264,8 @@ pub struct NavigationReport {
     pub header: Header,
     /// Number of the goal's command; 0 without a goal.
     pub number: u64,
-    /// Cost of the rest of the way to the next pose, metres of driving in open space; not a number if it is not known.
+    /// Cost of the rest of the way to the next pose, metres of driving in open space; of a goal that is reached, the robot's distance
+    /// to it; not a number if it is not known.
     pub remaining_m: f64,
     /// Code of a [`NavigationStatus`]. Read it by [`NavigationReport::status`].
     pub status: u32,

@@ -47,7 +47,7 @@ pub struct RobotNavigation<'a> {
     pub plan: &'a Path,
     /// Number of plans so far, modulo 2^32: it changes with `plan`.
     pub plan_number: u32,
-    /// Cost of the rest of the way to the next pose, metres of driving in open space.
+    /// Cost of the rest of the way to the next pose, metres of driving in open space; when it is reached, the distance to the goal.
     pub remaining_m: Option<f64>,
     /// Index of the pose that is driven to.
     pub next_pose: Option<usize>,

@@ -128,6 +128,8 @@ struct Answer {
     state: &'static str,
     reason: String,
     seconds: f64,
+    /// Where the robot has arrived, its distance to the goal, metres.
+    distance_m: Option<f64>,
 }
 
 /// Sends the goal and waits.
@@ -150,6 +152,8 @@ pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
         state: state.name(),
         reason: report.reason().to_owned(),
         seconds: begun.elapsed().as_secs_f64(),
+        distance_m: (state == NavigationStatus::Reached && report.remaining_m.is_finite())
+            .then_some(report.remaining_m),
     };
     let is_on_its_way = !state.is_final() && state != NavigationStatus::Paused;
     let is_wanted = args.cancel || state == NavigationStatus::Reached || (args.no_wait && is_on_its_way);
@@ -157,7 +161,8 @@ pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
         // An error says the reason itself.
         let says_why = is_wanted && !args.cancel && !answer.reason.is_empty();
         let why = if says_why { format!(" ({})", answer.reason) } else { String::new() };
-        format!("{}: {} after {:.1} s{why}\n", answer.robot, answer.state, answer.seconds)
+        let at = answer.distance_m.map_or_else(String::new, |m| format!(", {m:.2} m from the goal"));
+        format!("{}: {} after {:.1} s{at}{why}\n", answer.robot, answer.state, answer.seconds)
     })?;
     let reason = answer.reason;
     if is_wanted {
@@ -263,7 +268,7 @@ fn show(args: &GotoArgs, report: &NavigationReport, shown: &mut String) {
     if !report.reason().is_empty() {
         line += &format!(" ({})", report.reason());
     }
-    if report.remaining_m.is_finite() {
+    if report.remaining_m.is_finite() && !report.status().is_final() {
         line += &format!(", {:.0} m to go", report.remaining_m.ceil());
     }
     if line != *shown {

@@ -127,7 +127,10 @@ fn a_robot_reaches_goals_all_over_the_room_and_touches_nothing() {
         drive.go(1, goal);
         let done = drive.run_until(120.0, |drive| !drive.state(1).is_active());
         assert_eq!(drive.state(1), NavigationState::Reached, "seed {seed} after {done:?} s");
-        assert!(distance_m(&drive.world, 1, goal) < 0.16, "seed {seed}: at {:?}", drive.world.pose(0));
+        let away_m = distance_m(&drive.world, 1, goal);
+        assert!(away_m < 0.16, "seed {seed}: at {:?}", drive.world.pose(0));
+        let said_m = drive.navigator.robots().next().unwrap().remaining_m.unwrap();
+        assert!((said_m - away_m).abs() < 0.02, "seed {seed}: {said_m} m from the goal, in truth {away_m} m");
         assert_eq!(drive.world.bumps(), 0, "seed {seed}");
         assert!(!drive.navigator.is_active());
         let twist = drive.navigator.robots().next().unwrap().twist;

@@ -5,6 +5,7 @@ use super::super::input::{NavigatedRobot, RobotPoses};
 use super::super::state::NavigationState;
 use super::RobotNavigator;
 use crate::command::Twist;
+use crate::geometry::distance_m;
 use msg::{Stamp, pose::wrap_angle};
 
 /// Heading error at which the heading of a goal is reached, radians: six degrees.
@@ -25,7 +26,7 @@ impl RobotNavigator {
 
     /// Turns to the heading of the pose if it counts, and goes on with the next pose or ends.
     pub(super) fn arrive(&mut self, now: Stamp, robot: &NavigatedRobot, poses: RobotPoses) -> Twist {
-        let pose = self.goal_pose(robot);
+        let pose = self.goal_pose(robot).ok();
         let Some(active) = self.goal.as_mut() else { return Twist::STOP };
         let next = active.goal.next_pose_after(active.next);
         if next == NextPose::Elsewhere {
@@ -38,7 +39,7 @@ impl RobotNavigator {
             active.progress.restart(now);
         }
         let turns_on = next == NextPose::SamePlace;
-        if let Some(yaw_rad) = pose.ok().and_then(|pose| pose.yaw_rad) {
+        if let Some(yaw_rad) = pose.and_then(|pose| pose.yaw_rad) {
             let at = poses.map_from_base;
             let (sin, cos) = wrap_angle(yaw_rad).sin_cos();
             let faced_m = [at.x_m + FACED_POINT_M * cos, at.y_m + FACED_POINT_M * sin];
@@ -58,6 +59,8 @@ impl RobotNavigator {
             }
         }
         self.end(NavigationState::Reached);
+        // What was not reached of it, as where an obstacle is too near.
+        self.remaining_m = pose.map(|pose| distance_m(pose.position_m, poses.position_m()));
         Twist::STOP
     }
 }
