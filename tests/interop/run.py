@@ -93,6 +93,8 @@ def main(out):
     with fleet(out, domain, port, "--robots", "2", "--world", "ros"):
         rows += peer("world_rclpy.py", domain, port)
         rows += peer("world_cyclone.py", domain)
+    with fleet(out, domain, free_port(), "--robots", "1", "--world", "ros") as run_dir:
+        rows += peer("driver_cyclone.py", domain, run_dir, BINARY)
     rows += peer("maps_rclpy.py", domain, ENDPOINT, BINARY)
     profile = str(HERE / "buffers.xml")
     stock = [row["measured"].split()[0] for row in rows if row["what"].endswith(" MB map to a late joiner")]
