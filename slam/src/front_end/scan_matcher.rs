@@ -2,7 +2,7 @@
 
 use super::motion::{OdometryStep, PosePrediction};
 use crate::align::{Prior, Reference, ScanAlignment, align};
-use crate::cloud::{Agreement, Cloud, SEE_THROUGH_M};
+use crate::cloud::{Agreement, Cloud};
 use crate::config::{SlamConfig, TrackingConfig};
 use crate::likelihood_field::{LikelihoodField, SearchBuffers, SearchLimits, SearchWindow};
 use crate::node::Node;
@@ -41,8 +41,6 @@ const BREAK_POINTS_MIN: usize = 40;
 /// Largest contradicted share of a scan that fits, and by how much more of it is contradicted where it clearly fits less, 0 to 1.
 const FITS_SHARE_MAX: f32 = 0.15;
 const CLEARLY_SHARE: f32 = 0.1;
-/// Share of a scan's points that one reference shows from which on the robot has not turned away, 0 to 1.
-const SAME_VIEW_SHARE_MIN: f32 = 0.9;
 
 /// Standard deviation of a pose by odometry alone from which the robot is lost, metres: beyond, it does not find the door that
 /// it drives to.
@@ -255,12 +253,10 @@ impl ScanMatcher {
                 let fits = moved.is_tracked && by_odometry < FITS_SHARE_MAX;
                 !fits || (stood.is_tracked && by_odometry + CLEARLY_SHARE > without)
             }
-            // Odometry is wrong only if the scan says so: it contradicts it, or shows what it showed before.
+            // Odometry is wrong only if the scan contradicts it. One that shows what it showed before proves nothing: a robot that
+            // has turned by 90 degrees sees the same of a square room.
             OdometryStep::Unclear => {
-                let fits = stood.is_tracked && without < FITS_SHARE_MAX;
-                let shows_the_same =
-                    || !moved.is_tracked && self.known_share(cloud, stood) > SAME_VIEW_SHARE_MIN;
-                fits && (without + CLEARLY_SHARE < by_odometry || shows_the_same())
+                stood.is_tracked && without < FITS_SHARE_MAX && without + CLEARLY_SHARE < by_odometry
             }
         }
     }
@@ -269,16 +265,6 @@ impl ScanMatcher {
     fn contradicted_share(&self, cloud: &Cloud, pose: &TrackedPose) -> f32 {
         let found = self.agreement(cloud, pose.local_from_base);
         found.contradict as f32 / (found.agree + found.contradict).max(1) as f32
-    }
-
-    /// Share of a scan's points that lie on surfaces of the reference that shows most of them, 0 to 1.
-    fn known_share(&self, cloud: &Cloud, pose: &TrackedPose) -> f32 {
-        let shares = self.references.iter().map(|node| {
-            let node_from_base = node.local_from_base.between(pose.local_from_base);
-            let found = node.cloud.compare(cloud, node_from_base, SEE_THROUGH_M);
-            found.agree as f32 / cloud.points().len().max(1) as f32
-        });
-        shares.fold(0.0, f32::max)
     }
 
     /// Whether the newest reference saw nothing, so that its pose is one by odometry.
