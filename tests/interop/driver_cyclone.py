@@ -24,10 +24,11 @@ CORNERS = [(-1.5, -1.2), (3.6, -1.2), (3.6, 1.9), (1.4, 1.9), (1.4, 2.8), (-1.5,
 BOX = [(1.7, 0.6), (2.2, 0.6), (2.2, 1.1), (1.7, 1.1)]
 WALLS = [(ring[i - 1], ring[i]) for ring in (CORNERS, BOX) for i in range(len(ring))]
 # What the robot does: seconds, m/s, rad/s, and what its driver does at the end.
-PLAN = [(2.0, 0.0, 0.0, None), (5.0, 0.2, 0.0, None), (3.0, 0.0, 0.0, "reset"), (4.0, 0.0, 0.3, None),
+PLAN = [(1.0, 0.0, 0.0, None), (5.0, 0.2, 0.0, None), (3.0, 0.0, 0.0, "reset"), (4.0, 0.0, 0.3, None),
         (4.0, 0.2, 0.0, None), (2.0, 0.0, 0.0, "restart"), (3.0, 0.15, -0.3, None), (3.0, 0.0, 0.0, None)]
-# For how long the robot has no driver, seconds.
+# For how long the robot has no driver, and how long the fleet may take to start, seconds.
 AWAY_S = 4.0
+START_MAX_S = 60.0
 NEAR_M, NEAR_RAD = 0.12, 0.08
 
 
@@ -85,10 +86,15 @@ def drive(driver, truth, seconds, v, w):
     return truth
 
 
+def status(run, binary):
+    """The robot's figures; none while the fleet starts."""
+    said = subprocess.run([binary, "status", "--json", "--run-dir", run], capture_output=True, text=True, timeout=20)
+    return json.loads(said.stdout)["robots"][0] if said.stdout else {"scans": 0}
+
+
 def check(what, truth, run, binary):
     """Compares SLAM's pose with the truth: both count from where the robot began."""
-    said = subprocess.run([binary, "status", "--json", "--run-dir", run], capture_output=True, text=True, timeout=20)
-    robot = json.loads(said.stdout)["robots"][0]
+    robot = status(run, binary)
     pose = robot["pose"] or (math.nan,) * 3
     away_m = math.hypot(pose[0] - truth[0], pose[1] - truth[1])
     turned_rad = abs(math.remainder(pose[2] - truth[2], 2 * math.pi))
@@ -99,6 +105,10 @@ def check(what, truth, run, binary):
 
 def main(run, binary):
     driver, truth, before = Driver(), (0.0, 0.0, 0.0), "a drive"
+    # SLAM's map begins where the robot stands at its first scan.
+    begun = time.monotonic()
+    while status(run, binary)["scans"] < 5 and time.monotonic() < begun + START_MAX_S:
+        drive(driver, truth, 0.5, 0.0, 0.0)
     for seconds, v, w, then in PLAN:
         truth = drive(driver, truth, seconds, v, w)
         if then:

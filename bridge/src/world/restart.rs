@@ -23,11 +23,11 @@ const TURN_MAX_RAD_S: f64 = 10.0;
 /// ... beyond what stamps that are not exact make of it.
 const JUMP_M: f64 = 0.3;
 const JUMP_RAD: f64 = 0.3;
-/// After such a silence of odometry, seconds, a driver that begins anew is told by its first pose, which is the origin itself ...
-const DRIVER_SILENCE_S: f64 = 1.0;
-/// ... as nearly as a robot does not return to it, metres and radians.
-const BEGIN_M: f64 = 0.01;
-const BEGIN_RAD: f64 = 0.01;
+/// After such a silence of odometry, seconds, a driver that begins anew is told by its first pose, which is so near its origin, metres and
+/// radians, while the robot was not.
+const DRIVER_SILENCE_S: f64 = 0.5;
+const BEGIN_M: f64 = 0.05;
+const BEGIN_RAD: f64 = 0.05;
 
 /// A change of odometry that is no motion: REP-105 asks for odometry without jumps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,8 +53,9 @@ impl Jump {
         }
         let is_too_fast = jump.distance_m > JUMP_M + SPEED_MAX_M_S * jump.span_s
             || jump.turn_rad > JUMP_RAD + TURN_MAX_RAD_S * jump.span_s;
-        let begins = |pose: &Pose2| is_at_origin(pose, BEGIN_M, BEGIN_RAD);
-        let begins_anew = jump.span_s > DRIVER_SILENCE_S && begins(odom_from_base) && !begins(&last);
+        let begins_anew = jump.span_s > DRIVER_SILENCE_S
+            && is_at_origin(odom_from_base, BEGIN_M, BEGIN_RAD)
+            && !is_at_origin(&last, JUMP_M, JUMP_RAD);
         (is_too_fast || begins_anew).then_some(jump)
     }
 }
@@ -190,7 +191,8 @@ mod tests {
         assert!(jump(far, [0.0; 3], 0.05), "a microcontroller that was reset");
         assert!(jump(far, [2.0, -1.0, -1.0], 0.05), "its heading alone");
         assert!(jump(far, [0.0; 3], 20.0), "it needs time to start");
-        assert!(!jump(far, [0.05, 0.0, 0.0], 20.0), "a robot that was driven back meanwhile");
+        assert!(jump(far, [0.02, 0.0, 0.01], 0.6), "it drives on at once");
+        assert!(!jump(far, [0.08, 0.0, 0.0], 20.0), "a robot that was driven back meanwhile");
         assert!(!jump([0.0, 0.005, 0.0], [0.0; 3], 20.0), "it has not moved");
         assert!(!jump(far, [0.0; 3], -0.05) && !jump(far, [0.0; 3], 0.0), "an old or repeated pose");
         assert!(!jump([0.0, 0.0, 3.1], [0.0, 0.0, -3.1], 0.05), "half a turn is passed");
@@ -201,7 +203,7 @@ mod tests {
         #[test]
         fn motion_is_no_jump(
             start in prop::array::uniform3(-3.0..3.0_f64), speed_m_s in -2.0..2.0_f64, turn_rad_s in -4.0..4.0_f64,
-            span_s in 0.005..0.9_f64,
+            span_s in 0.005..0.5_f64,
         ) {
             let [x_m, y_m, yaw_rad] = start;
             let turn = turn_rad_s * span_s;

@@ -220,6 +220,7 @@ fn odometry_that_loses_its_origin_below_one_publisher_is_another_writer() {
     let (restarts, told) = send(driver, 10, 0.0);
     assert!(restarts == 1 && told.contains("robot1: odometry jumps 1.80 m"), "{told}");
     assert_eq!(send(driver, 11, 0.02), (1, String::new()));
+    assert_eq!(send(driver, 20, 0.4), (1, String::new()));
     // After a silence it begins at the origin; a client on TCP may be a simulation, in which the robot was put there.
     assert_eq!(send(driver, 100, 0.0).0, 2);
     send(None, 1000, 0.0);
