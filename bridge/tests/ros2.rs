@@ -234,7 +234,6 @@ fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
     });
 }
 
-/// Passes what the endpoint and the bridge tell each other.
 #[test]
 fn a_robot_stops_at_once_when_its_writer_is_gone_and_the_stop_can_be_read() {
     run(async {

@@ -17,8 +17,8 @@ use std::time::{Duration, Instant};
 /// Show the figures of a running fleet
 ///
 /// If the bridge does not answer, the figures are shown and the exit code is 1: whether the emergency stop is set, who drives and
-/// who waits is then not known. What is wrong comes first, in JSON as `alarms`. In JSON `bridge` is null, `bridge_silence` says why, and `stop_latched` whether the run's folder
-/// says that the stop is set.
+/// who waits is then not known. What is wrong comes first, in JSON as `alarms`. In JSON `bridge` is null, `bridge_silence` says
+/// why, and `stop_latched` whether the run's folder says that the stop is set.
 #[derive(Clone, Debug, clap::Args)]
 pub struct StatusArgs {
     /// Choice of the running fleet.
@@ -64,16 +64,17 @@ pub enum StatusError {
 pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
     let run = args.run.open()?;
     let (fleet, link) = (newest_figures(&run)?, link_figures(&run));
+    let of_link: Vec<String> = link.iter().flatten().filter_map(line).collect();
     let stop_latched = stop_file(&run.dir).try_exists().ok();
     let text = || {
         let age_s = crate::clock::now().since(run.begun) as f64 * 1e-9;
         let heading = format!("run {} on port {}, {age_s:.0} s\n", run.dir.display(), run.port);
         let style = reports::terminal::style(&std::io::stdout());
-        let link: String = link.iter().flatten().filter_map(line).map(|line| format!("! {line}\n")).collect();
+        let of_link: String = of_link.iter().map(|line| format!("! {line}\n")).collect();
         let latch = latch_line(&fleet, stop_latched);
-        format!("{heading}{link}{}{latch}\n{}", fleet.table(&style), fleet.process_table(&style))
+        format!("{heading}{of_link}{}{latch}\n{}", fleet.table(&style), fleet.process_table(&style))
     };
-    let alarms = link.iter().flatten().filter_map(line).chain(fleet.alarms()).collect();
+    let alarms = of_link.iter().cloned().chain(fleet.alarms()).collect();
     let status = Status { fleet: &fleet, alarms, stop_latched, link: link.as_deref() };
     output::print_either(args.json, &status, text)?;
     match fleet.bridge_silence {

@@ -9,6 +9,7 @@
 //! ```
 
 use super::frame_tree::{FrameTrees, without_slash};
+use super::notices::is_due;
 use super::{DDS_SOURCE, ExternalWorld, Notices, Origin, SourceId, WorldError};
 use msg::{Pose2, RobotFrame, RobotFrameTransform, RobotId, Stamp};
 use ros_messages::names::{FleetFrame, RobotNames};
@@ -25,8 +26,6 @@ const DISTANCE_MAX_M: f64 = 10.0;
 const SAME_M: f64 = 0.01;
 /// ... and degrees.
 const SAME_DEG: f64 = 1.0;
-/// Shortest time between two notices about one mount, seconds.
-const NOTICE_PERIOD_S: f64 = 30.0;
 /// A tilt from which the operator is told, degrees: 0.14 % of a range.
 const TILT_TOLD_DEG: f64 = 3.0;
 /// Why a LiDAR's mount is not accepted.
@@ -241,9 +240,8 @@ impl ExternalWorld {
     /// Writes a notice when a mount is known first, or has changed.
     fn tell_mount(&mut self, robot: RobotId, placement: Placement, received: Stamp) {
         let mount = &mut self.mounts.robots[robot.index()];
-        let is_due = mount.told.is_none_or(|(told, at)| {
-            !is_same(told, placement) && !(0.0..NOTICE_PERIOD_S).contains(&(received - at))
-        });
+        let is_due =
+            mount.told.is_none_or(|(told, at)| !is_same(told, placement) && is_due(Some(at), received));
         if is_due {
             let before = mount.told.map(|(told, _)| told);
             mount.told = Some((placement, received));

@@ -1,9 +1,17 @@
 //! What the operator's log is told of an external world.
 
-use msg::ROBOTS_MAX;
+use msg::{ROBOTS_MAX, Stamp};
 
 /// Most notices that wait; further ones are dropped.
 const NOTICES_MAX: usize = 2 * ROBOTS_MAX;
+
+/// Shortest time between two notices of one kind about a robot, seconds.
+const NOTICE_PERIOD_S: f64 = 30.0;
+
+/// Whether the last notice is old enough, or there was none. A time that was set back does not silence the next one.
+pub(super) fn is_due(told: Option<Stamp>, now: Stamp) -> bool {
+    told.is_none_or(|told| !(0.0..NOTICE_PERIOD_S).contains(&(now - told)))
+}
 
 /// Notices that wait for the log, oldest first.
 #[derive(Debug, Default)]

@@ -2,7 +2,7 @@
 //!
 //! SLAM goes on with what it gets: without a word the operator would see a worse map, or transforms of another time.
 
-use super::notices::Notices;
+use super::notices::{Notices, is_due};
 use super::restart::Jump;
 use msg::{RobotId, Stamp};
 
@@ -14,12 +14,10 @@ const SCAN_SILENCE_S: f64 = 2.0;
 const CLOCK_ERROR_S: f64 = 1.0;
 /// So many scans in a row must show it.
 const CLOCK_SCANS: u32 = 10;
-/// Shortest time between two notices of one kind about a robot, seconds.
-const NOTICE_PERIOD_S: f64 = 30.0;
-/// Jumps within that time from which on they are not a driver that was started again.
+/// Jumps since they were told from which on they are not a driver that was started again.
 const JUMPS_OF_TWO: u32 = 3;
 
-/// Something that is told when it begins and when it ends, not more often than once in [`NOTICE_PERIOD_S`].
+/// Something that is told when it begins and when it ends, not more often than notices may come ([`is_due`]).
 #[derive(Clone, Copy, Debug, Default)]
 struct Told {
     is_wrong: bool,
@@ -35,11 +33,6 @@ impl Told {
         }
         changes
     }
-}
-
-/// Whether the last notice is old enough, or there was none. A time that was set back does not silence the next one.
-fn is_due(told: Option<Stamp>, now: Stamp) -> bool {
-    told.is_none_or(|told| !(0.0..NOTICE_PERIOD_S).contains(&(now - told)))
 }
 
 /// What is watched of one robot. Times are the run's, at which messages arrived.

@@ -2,7 +2,8 @@
 //!
 //! The motion comes from odometry or, without it, is estimated together with the pose.
 
-use super::motion::{CONSTANT_MOTION_MAX_S, PosePrediction, continue_motion};
+use super::motion::{CONSTANT_MOTION_MAX_S, OdometryStep, PosePrediction, continue_motion};
+use super::scan_matcher::{CLEARLY_SHARE, has_jumped};
 use super::{FrontEnd, TrackedPose};
 use crate::beam_poses::{BeamPoses, scale_motion};
 use crate::cloud::Cloud;
@@ -54,14 +55,19 @@ impl FrontEnd {
         let after_loss =
             self.node_builder.last_scan_lost || self.matcher.newest_saw_nothing(&self.config.tracking);
         let matched = self.matcher.match_scan(cloud, prediction, after_loss, &self.config, &mut *self.stages);
-        if !self.matcher.may_have_jumped(cloud, prediction.step, &matched) {
+        if prediction.step == OdometryStep::Motion {
+            return matched;
+        }
+        let contradicted = self.matcher.contradicted_share(cloud, &matched);
+        if prediction.step == OdometryStep::Unclear && matched.is_tracked && contradicted <= CLEARLY_SHARE {
             return matched;
         }
         let Some(stood) = self.motion.predict_without_odometry(stamp, &self.config.odometry) else {
             return matched;
         };
         let other = self.matcher.match_scan(cloud, &stood, after_loss, &self.config, &mut *self.stages);
-        if !self.matcher.has_jumped(cloud, prediction.step, &matched, &other) {
+        let contradicted_without = self.matcher.contradicted_share(cloud, &other);
+        if !has_jumped(prediction.step, (&matched, contradicted), (&other, contradicted_without)) {
             return matched;
         }
         // Odometry counts from the matched pose.

@@ -19,11 +19,10 @@ const ODOMETRY_JUMP_FACTOR: f64 = 3.0;
 /// Added to what the robot can have driven: odometry's own jitter, metres.
 const ODOMETRY_JUMP_MARGIN_M: f64 = 1.0;
 /// A step of odometry between two scans may be no motion if it exceeds the step before it this many times, and this, metres and radians.
+/// It is none if it also exceeds what the robot can drive in that time [`ODOMETRY_JUMP_FACTOR`] times, and that.
 const STEP_FACTOR: f64 = 2.0;
 const STEP_MIN_M: f64 = 0.15;
 const STEP_MIN_RAD: f64 = 0.2;
-/// It is none if it also exceeds what the robot can drive in that time this many times, and that.
-const JUMP_FACTOR: f64 = 3.0;
 /// Without odometry the speed is uncertain by this share of the robot's largest one (one standard deviation).
 pub(crate) const SPEED_SIGMA_SHARE: f64 = 0.3;
 
@@ -175,7 +174,7 @@ impl OdometryStep {
         let possible = [config.speed_max_m_s, config.turn_max_rad_s];
         match exceeds(length(before).map(|length| STEP_FACTOR * length)) {
             false => Self::Motion,
-            true if exceeds(possible.map(|speed| JUMP_FACTOR * speed * seconds)) => Self::Jump,
+            true if exceeds(possible.map(|speed| ODOMETRY_JUMP_FACTOR * speed * seconds)) => Self::Jump,
             true => Self::Unclear,
         }
     }

@@ -38,9 +38,10 @@ const BREAK_SHARE: f32 = 0.3;
 /// through.
 const BREAK_POINTS_MIN: usize = 40;
 
-/// Largest contradicted share of a scan that fits, and by how much more of it is contradicted where it clearly fits less, 0 to 1.
+/// Largest contradicted share of a scan that fits, 0 to 1.
 const FITS_SHARE_MAX: f32 = 0.15;
-const CLEARLY_SHARE: f32 = 0.1;
+/// By how much more of a scan is contradicted where it clearly fits less, 0 to 1.
+pub(super) const CLEARLY_SHARE: f32 = 0.1;
 
 /// Standard deviation of a pose by odometry alone from which the robot is lost, metres: beyond, it does not find the door that
 /// it drives to.
@@ -226,43 +227,8 @@ impl ScanMatcher {
         agreement
     }
 
-    /// Whether it is worth to match a scan without odometry, too: `moved` is its match where odometry says.
-    pub fn may_have_jumped(&self, cloud: &Cloud, step: OdometryStep, moved: &TrackedPose) -> bool {
-        match step {
-            OdometryStep::Motion => false,
-            OdometryStep::Jump => true,
-            OdometryStep::Unclear => {
-                !moved.is_tracked || self.contradicted_share(cloud, moved) > CLEARLY_SHARE
-            }
-        }
-    }
-
-    /// Whether a scan that was matched where odometry says shows that odometry has jumped. `stood`: the scan matched without odometry.
-    pub fn has_jumped(
-        &self,
-        cloud: &Cloud,
-        step: OdometryStep,
-        moved: &TrackedPose,
-        stood: &TrackedPose,
-    ) -> bool {
-        let [by_odometry, without] = [moved, stood].map(|pose| self.contradicted_share(cloud, pose));
-        match step {
-            OdometryStep::Motion => false,
-            // Odometry is right only if the scan says so.
-            OdometryStep::Jump => {
-                let fits = moved.is_tracked && by_odometry < FITS_SHARE_MAX;
-                !fits || (stood.is_tracked && by_odometry + CLEARLY_SHARE > without)
-            }
-            // Odometry is wrong only if the scan contradicts it. One that shows what it showed before proves nothing: a robot that
-            // has turned by 90 degrees sees the same of a square room.
-            OdometryStep::Unclear => {
-                stood.is_tracked && without < FITS_SHARE_MAX && without + CLEARLY_SHARE < by_odometry
-            }
-        }
-    }
-
     /// Share of a scan's compared points that the references contradict, 0 to 1.
-    fn contradicted_share(&self, cloud: &Cloud, pose: &TrackedPose) -> f32 {
+    pub fn contradicted_share(&self, cloud: &Cloud, pose: &TrackedPose) -> f32 {
         let found = self.agreement(cloud, pose.local_from_base);
         found.contradict as f32 / (found.agree + found.contradict).max(1) as f32
     }
@@ -325,6 +291,28 @@ impl ScanMatcher {
             map.nodes = nodes.len();
         }
         self.references.extend(last_of(references.min(config.references as u32)).iter().cloned());
+    }
+}
+
+/// Whether a scan that was matched where odometry says, and without odometry, shows that odometry has jumped. Each match has the
+/// share of the scan that the references contradict there.
+pub(super) fn has_jumped(
+    step: OdometryStep,
+    (moved, by_odometry): (&TrackedPose, f32),
+    (stood, without): (&TrackedPose, f32),
+) -> bool {
+    match step {
+        OdometryStep::Motion => false,
+        // Odometry is right only if the scan says so.
+        OdometryStep::Jump => {
+            let fits = moved.is_tracked && by_odometry < FITS_SHARE_MAX;
+            !fits || (stood.is_tracked && by_odometry + CLEARLY_SHARE > without)
+        }
+        // Odometry is wrong only if the scan contradicts it. One that shows what it showed before proves nothing: a robot that
+        // has turned by 90 degrees sees the same of a square room.
+        OdometryStep::Unclear => {
+            stood.is_tracked && without < FITS_SHARE_MAX && without + CLEARLY_SHARE < by_odometry
+        }
     }
 }
 
