@@ -15,8 +15,7 @@ fn kill_and_recover(name: &str) {
     let killed = process(&before, name).unwrap().pid;
     send(killed, Signal::KILL);
     let after = fleet.until("the process's return", |view| {
-        // On a busy machine the place of the dead one in shared memory may not be free at its first start.
-        let back = process(view, name).is_some_and(|p| p.pid != killed && p.state == "up" && p.restarts >= 1);
+        let back = process(view, name).is_some_and(|p| p.pid != killed && p.state == "up" && p.restarts == 1);
         back && view.robots.iter().zip(&before.robots).all(|(now, then)| now.scans >= then.scans + 30)
     });
     for peer in after.processes.iter().filter(|peer| peer.process != name) {
