@@ -152,8 +152,11 @@ impl Observer {
     pub fn fleet_view(&self, run: &Run) -> Option<FleetView> {
         // Robots' processes on other machines have those machines' process ids.
         let is_elsewhere = run.config.world == RobotSource::Robots;
-        let view = FleetView::new(self.stats()?).without_given_transforms(run.config.fleet.starts_known);
-        Some(view.with_ended_processes(|pid| is_elsewhere || progress::is_alive(pid)))
+        let fleet = &run.config.fleet;
+        let view = FleetView::new(self.stats()?).without_given_transforms(fleet.starts_known);
+        Some(
+            view.with_names(&fleet.names).with_ended_processes(|pid| is_elsewhere || progress::is_alive(pid)),
+        )
     }
 
     /// Newest velocity that a robot was told, by its index, and its age in seconds.

@@ -65,8 +65,11 @@ pub struct FleetView {
 // More than 12 fields: the fields are the keys of one JSON object, which scripts read.
 #[derive(Clone, Debug, Serialize)]
 pub struct RobotView {
-    /// Name of the robot, such as `robot1`.
+    /// The robot by its number, such as `robot1`.
     pub robot: String,
+    /// Its own name in this fleet, such as `alice`; `None`: it has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// Tracking state of SLAM: `tracking`, `lost` ...
     pub state: &'static str,
     /// Scans that SLAM received per second: mean of the run; `None` where one moment is shown, as by `status`.
@@ -190,6 +193,15 @@ impl FleetView {
         self
     }
 
+    /// Adds the robots' own names, robot1's first. An empty one is none.
+    #[must_use]
+    pub fn with_names(mut self, names: &[String]) -> Self {
+        for (robot, name) in self.robots.iter_mut().zip(names) {
+            robot.name = Some(name.clone()).filter(|name| !name.is_empty() && *name != robot.robot);
+        }
+        self
+    }
+
     /// Marks the processes that are no more; `is_alive` tells it of a process id on this machine.
     pub fn with_ended_processes(mut self, is_alive: impl Fn(u32) -> bool) -> Self {
         for process in self.processes.iter_mut().filter(|process| !is_alive(process.pid)) {
@@ -283,6 +295,7 @@ impl RobotView {
         let has_pose = stats.scans > 0 && stats.state != TrackingState::Lost as u32;
         Self {
             robot: robot.to_string(),
+            name: None,
             state: TrackingState::from_code(stats.state).map_or("?", TrackingState::name),
             scan_hz: None,
             scan_hz_last_second: stats.scan_hz,

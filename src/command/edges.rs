@@ -1,12 +1,13 @@
 //! Tool `mr-slam edges`, which shows, pins and undoes the edges between robots' maps in a running fleet.
 
 use super::output;
+use super::robot_choice::{RobotChoice, RobotChoiceError};
 use super::run_args::RunArgs;
 use crate::channel::{self, Opener, Program};
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, let_readers_look, wait};
-use msg::{CommandSource, EdgeAction, EdgeCommand, MergeEdges, Monotonic, ROBOTS_MAX, RobotId};
+use msg::{CommandSource, EdgeAction, EdgeCommand, MergeEdges, Monotonic};
 use reports::{EdgeView, edge_table};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -32,7 +33,7 @@ pub struct EdgesArgs {
 }
 
 /// Change of an edge.
-#[derive(Clone, Copy, Debug, clap::Subcommand)]
+#[derive(Clone, Debug, clap::Subcommand)]
 pub enum Action {
     /// Keep the edge whatever later evidence says; an undone edge holds again
     Pin(Pair),
@@ -43,25 +44,14 @@ pub enum Action {
 }
 
 /// Pair of robots whose edge is meant.
-#[derive(Clone, Copy, Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Pair {
-    /// Number of the first robot
-    #[arg(value_name = "A", value_parser = robot)]
-    pub a: RobotId,
-    /// Number of the second robot
-    #[arg(value_name = "B", value_parser = robot)]
-    pub b: RobotId,
-}
-
-/// Text that names no robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("expected robot1 to robot{ROBOTS_MAX}, or the number alone")]
-pub(super) struct RobotError;
-
-/// Parses a robot: `robot1`, or `1`.
-pub(super) fn robot(text: &str) -> Result<RobotId, RobotError> {
-    let number = text.strip_prefix("robot").unwrap_or(text).parse().ok();
-    number.and_then(RobotId::new).ok_or(RobotError)
+    /// The first robot: `robot1`, 1, or its name
+    #[arg(value_name = "A")]
+    pub a: RobotChoice,
+    /// The second robot
+    #[arg(value_name = "B")]
+    pub b: RobotChoice,
 }
 
 /// Reason why edges could not be shown or changed.
@@ -74,15 +64,8 @@ pub enum EdgesError {
     #[error(transparent)]
     Channel(#[from] ChannelError),
     /// A robot that the fleet does not have.
-    #[error("run {}: this fleet has robots 1 to {robots}, not {found}", run.display())]
-    Robot {
-        /// Folder of the run.
-        run: PathBuf,
-        /// Number that was given.
-        found: usize,
-        /// Number of robots.
-        robots: usize,
-    },
+    #[error(transparent)]
+    Robot(#[from] RobotChoiceError),
     /// The same robot twice.
     #[error("expected two different robots")]
     SameRobot,
@@ -112,7 +95,7 @@ struct Answer<'a> {
 
 /// Shows the edges, after a change if one is asked for.
 pub fn run(args: &EdgesArgs) -> Result<(), EdgesError> {
-    let (run, command) = match args.action {
+    let (run, command) = match &args.action {
         None => (args.run.open()?, None),
         Some(action) => {
             let run = args.run.open_to_change()?;
@@ -128,17 +111,13 @@ pub fn run(args: &EdgesArgs) -> Result<(), EdgesError> {
 }
 
 impl Action {
-    fn command(self, run: &Run) -> Result<EdgeCommand, EdgesError> {
+    fn command(&self, run: &Run) -> Result<EdgeCommand, EdgesError> {
         let (pair, action) = match self {
             Self::Pin(pair) => (pair, EdgeAction::Pin),
             Self::Unpin(pair) => (pair, EdgeAction::Unpin),
             Self::Undo(pair) => (pair, EdgeAction::Undo),
         };
-        let (robots, found) = (run.config.fleet.robots, pair.a.number().max(pair.b.number()));
-        if found > robots {
-            return Err(EdgesError::Robot { run: run.dir.clone(), found, robots });
-        }
-        EdgeCommand::for_pair(action, pair.a, pair.b).ok_or(EdgesError::SameRobot)
+        EdgeCommand::for_pair(action, pair.a.find(run)?, pair.b.find(run)?).ok_or(EdgesError::SameRobot)
     }
 }
 

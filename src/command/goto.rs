@@ -1,9 +1,9 @@
 //! Tool `mr-slam goto`, which sends a robot of a running fleet to a place and waits until it is there.
 
 use super::confirmation::confirmation;
-use super::edges::robot;
 use super::first_states::FirstStates;
 use super::output;
+use super::robot_choice::{RobotChoice, RobotChoiceError};
 use super::run_args::RunArgs;
 use super::waiting::{WaitError, Waiting};
 use crate::channel::{self, Opener, Program};
@@ -31,9 +31,9 @@ const POLL_NS: u64 = 50_000_000;
 /// Send a robot of a running fleet to a place, and wait until it is there
 #[derive(Clone, Debug, clap::Args)]
 pub struct GotoArgs {
-    /// Robot to send: robot2, or 2
-    #[arg(value_name = "ROBOT", value_parser = robot)]
-    pub robot: RobotId,
+    /// Robot to send: robot2, 2, or its name
+    #[arg(value_name = "ROBOT")]
+    pub robot: RobotChoice,
     /// Place in the frame `map`: metres, metres and, if the heading matters, radians
     #[arg(value_name = "X,Y[,YAW]", value_parser = pose, required_unless_present = "cancel")]
     pub pose: Option<NavigationPose>,
@@ -85,15 +85,8 @@ pub enum GotoError {
     #[error(transparent)]
     Channel(#[from] ChannelError),
     /// A robot that the fleet does not have.
-    #[error("run {}: this fleet has robots 1 to {robots}, not {found}", run.display())]
-    Robot {
-        /// Folder of the run.
-        run: PathBuf,
-        /// Number that was given.
-        found: usize,
-        /// Number of robots.
-        robots: usize,
-    },
+    #[error(transparent)]
+    Robot(#[from] RobotChoiceError),
     /// The fleet has ended, or navigation does not answer.
     #[error(transparent)]
     Wait(#[from] WaitError),
@@ -135,20 +128,17 @@ struct Answer {
 /// Sends the goal and waits.
 pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
     let run = args.run.open_to_change()?;
-    let (robots, found) = (run.config.fleet.robots, args.robot.number());
-    if found > robots {
-        return Err(GotoError::Robot { run: run.dir.clone(), found, robots });
-    }
+    let robot = args.robot.find(&run)?;
     // A bridge that does not answer pauses the goal later, if it has to.
     let bridge = control::ask(&run, Request::State, BRIDGE_PATIENCE);
     if !args.cancel && bridge.is_ok_and(|bridge| bridge.stopped) {
         return Err(GotoError::EmergencyStop { run: run.dir });
     }
     let begun = Instant::now();
-    let report = send(&run, args, stop)?;
+    let report = send(&run, args, robot, stop)?;
     let state = report.status();
     let answer = Answer {
-        robot: args.robot.to_string(),
+        robot: robot.to_string(),
         state: state.name(),
         reason: report.reason().to_owned(),
         seconds: begun.elapsed().as_secs_f64(),
@@ -165,19 +155,15 @@ pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
         format!("{}: {} after {:.1} s{at}{why}\n", answer.robot, answer.state, answer.seconds)
     })?;
     let reason = answer.reason;
-    if is_wanted {
-        Ok(())
-    } else {
-        Err(GotoError::NotReached { robot: args.robot, state: state.name(), reason })
-    }
+    if is_wanted { Ok(()) } else { Err(GotoError::NotReached { robot, state: state.name(), reason }) }
 }
 
 /// Sends the command; returns the last state of the goal, or its first if nobody waits for the last.
-fn send(run: &Run, args: &GotoArgs, stop: &Stop) -> Result<NavigationReport, GotoError> {
+fn send(run: &Run, args: &GotoArgs, robot: RobotId, stop: &Stop) -> Result<NavigationReport, GotoError> {
     let node = Participant::open(&run.domain, Opener::of_fleet(Program::GotoTool), "goto")?;
-    let mut states = node.reader(&channel::navigation_state(args.robot))?;
-    let mut commands = node.writer(&channel::goal(args.robot))?;
-    let outcome = exchange(run, args, stop, &mut states, &mut commands);
+    let mut states = node.reader(&channel::navigation_state(robot))?;
+    let mut commands = node.writer(&channel::goal(robot))?;
+    let outcome = exchange(run, args, robot, stop, &mut states, &mut commands);
     // The navigator has it, and answers at once. A recorder may not have looked yet.
     let_readers_look();
     outcome
@@ -187,6 +173,7 @@ fn send(run: &Run, args: &GotoArgs, stop: &Stop) -> Result<NavigationReport, Got
 fn exchange(
     run: &Run,
     args: &GotoArgs,
+    robot: RobotId,
     stop: &Stop,
     states: &mut Reader<NavigationReport>,
     commands: &mut Writer<NavigationCommand>,
@@ -196,13 +183,13 @@ fn exchange(
         None => NavigationCommand::new(number, NavigationAction::Cancel),
         Some(pose) => {
             let frame = if args.own_map { NavigationFrame::RobotMap } else { NavigationFrame::MergedMap };
-            NavigationCommand::goal(number, (frame, args.own_map.then_some(args.robot)), &[pose])
+            NavigationCommand::goal(number, (frame, args.own_map.then_some(robot)), &[pose])
         }
     };
     commands.send(&NavigationCommand { sender: CommandSource::LAPTOP, ..command });
     let (what, mut shown) =
         (if args.cancel { "its goal is cancelled" } else { "it has arrived" }, String::new());
-    let mut waiting = Waiting::new(Instant::now(), format!("{}: whether {what} is not known", args.robot));
+    let mut waiting = Waiting::new(Instant::now(), format!("{}: whether {what} is not known", robot));
     let mut first = FirstStates::new();
     loop {
         // A navigator that starts again needs the command once more.
@@ -218,7 +205,7 @@ fn exchange(
                 return Ok(report);
             }
             if report.number > number {
-                return Err(GotoError::Replaced(args.robot));
+                return Err(GotoError::Replaced(robot));
             }
             if report.number < number || args.cancel {
                 continue;
@@ -228,7 +215,7 @@ fn exchange(
             }
             first.add(report);
             if !args.no_wait {
-                show(args, &report, &mut shown);
+                show(robot, &report, &mut shown);
             }
         }
         if args.no_wait
@@ -239,7 +226,7 @@ fn exchange(
         waiting.check(run, is_alive, Instant::now())?;
         if stop.requested() {
             let (state, reason) = ("was stopped", cancel(states, commands));
-            return Err(GotoError::NotReached { robot: args.robot, state, reason: reason.into() });
+            return Err(GotoError::NotReached { robot, state, reason: reason.into() });
         }
         wait([], Monotonic(crate::clock::now().0 + POLL_NS));
     }
@@ -260,8 +247,8 @@ fn cancel(states: &mut Reader<NavigationReport>, commands: &mut Writer<Navigatio
 }
 
 /// Prints a state to standard error when it has changed.
-fn show(args: &GotoArgs, report: &NavigationReport, shown: &mut String) {
-    let mut line = format!("{}: {}", args.robot, report.status().name());
+fn show(robot: RobotId, report: &NavigationReport, shown: &mut String) {
+    let mut line = format!("{robot}: {}", report.status().name());
     if let Some(other) = RobotId::new(report.other_robot as usize) {
         line += &format!(" for {other}");
     }

@@ -20,6 +20,7 @@ pub mod output;
 pub mod permissions;
 pub mod record;
 pub mod replay;
+mod robot_choice;
 pub mod room;
 pub mod run_args;
 pub mod slam;

@@ -1,7 +1,7 @@
 //! Tool `mr-slam slam ROBOT`, which controls a robot's SLAM in a running fleet, as SLAM Toolbox's services do.
 
-use super::edges::robot;
 use super::output;
+use super::robot_choice::{RobotChoice, RobotChoiceError};
 use super::run_args::RunArgs;
 use crate::channel::{self, Opener, Program};
 use crate::clock::now;
@@ -30,9 +30,9 @@ const FOUND_PATIENCE: Duration = Duration::from_secs(3);
 /// Control a robot's SLAM in a running fleet
 #[derive(Clone, Debug, clap::Args)]
 pub struct SlamArgs {
-    /// Robot: `robot1`, or 1
-    #[arg(value_name = "ROBOT", value_parser = robot)]
-    pub robot: RobotId,
+    /// Robot: `robot1`, 1, or its name
+    #[arg(value_name = "ROBOT")]
+    pub robot: RobotChoice,
     /// Request to the robot's SLAM
     #[command(subcommand)]
     pub action: SlamAction,
@@ -134,13 +134,8 @@ pub enum SlamCommandError {
         why: String,
     },
     /// The fleet does not have this robot.
-    #[error("this fleet has robots 1 to {robots}, not {number}")]
-    NoRobot {
-        /// Number of robots of the fleet.
-        robots: usize,
-        /// Number that was given.
-        number: usize,
-    },
+    #[error(transparent)]
+    NoRobot(#[from] RobotChoiceError),
     /// The path is too long for a message, or not UTF-8.
     #[error("{0}: expected a path in UTF-8 of at most {max} bytes", max = msg::TEXT_MAX)]
     Path(String),
@@ -168,12 +163,8 @@ pub struct SlamClient {
 }
 
 impl SlamClient {
-    /// Attaches to a run.
+    /// Attaches to the SLAM of one of a run's robots.
     pub fn attach(run: &Run, robot: RobotId) -> Result<Self, SlamCommandError> {
-        let robots = run.config.fleet.robots;
-        if robot.number() > robots {
-            return Err(SlamCommandError::NoRobot { robots, number: robot.number() });
-        }
         let client = u64::from(std::process::id());
         let node =
             Participant::open(&run.domain, Opener::of_fleet(Program::SlamTool), &format!("ask {robot}"))?;
@@ -340,7 +331,8 @@ pub fn run(args: &SlamArgs) -> Result<(), SlamCommandError> {
     let request = args.action.request()?;
     let run = RunArgs { run_dir: args.run_dir.clone() };
     let run = if args.action.changes() { run.open_to_change()? } else { run.open()? };
-    let mut client = SlamClient::attach(&run, args.robot)?;
+    let robot = args.robot.find(&run)?;
+    let mut client = SlamClient::attach(&run, robot)?;
     let answer = client.request(&request);
     if !matches!(args.action, SlamAction::State) {
         // A recorder, which records all but questions for the state, may not have looked yet.
@@ -354,6 +346,6 @@ pub fn run(args: &SlamArgs) -> Result<(), SlamCommandError> {
     if args.action.relocalizes() {
         response = client.wait_until_located(response)?;
     }
-    let view = SlamView::new(&run.dir, args.robot, &response, closures.as_deref());
+    let view = SlamView::new(&run.dir, robot, &response, closures.as_deref());
     Ok(output::print_either(args.json, &view, || args.action.text(&view))?)
 }

@@ -133,7 +133,7 @@ impl FleetView {
 
     fn figures(&self, style: &Style) -> String {
         let rows: Vec<Vec<Cell>> = self.robots.iter().map(robot_row).collect();
-        let mut text = table(&ROBOT_COLUMNS, &rows, style);
+        let mut text = table(&ROBOT_COLUMNS, &rows, style) + &self.name_line(style);
         let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1}%", 100.0 * v));
         text += &style.wrap(
             &format!(
@@ -148,6 +148,18 @@ impl FleetView {
             INDENT,
         );
         text + &self.merge_lines(style)
+    }
+
+    /// Says which robot has which name of its own, if one has.
+    fn name_line(&self, style: &Style) -> String {
+        let named =
+            |robot: &super::RobotView| robot.name.as_ref().map(|name| format!("{} is {name}", robot.robot));
+        let names: Vec<String> = self.robots.iter().filter_map(named).collect();
+        if names.is_empty() {
+            String::new()
+        } else {
+            style.wrap(&format!("names    {}", names.join("   ")), INDENT)
+        }
     }
 
     /// Lists the robots that are not in the merged map, and the edges that were found.
@@ -293,6 +305,17 @@ mod tests {
             }
             assert!(text.contains("robot3"), "{width}: {text}");
         }
+    }
+
+    #[test]
+    fn own_names_are_shown_beside_the_numbers() {
+        let names = ["alice", "", "robot3"].map(String::from);
+        let named = fleet().with_names(&names);
+        let text = named.table(&Style::PLAIN);
+        assert!(text.contains("names    robot1 is alice\n"), "{text}");
+        assert!(!fleet().table(&Style::PLAIN).contains("names "));
+        let json = serde_json::to_value(&named.robots).unwrap();
+        assert_eq!((&json[0]["name"], &json[1]["name"]), (&"alice".into(), &serde_json::Value::Null));
     }
 
     #[test]

@@ -229,11 +229,12 @@ impl BackEnd {
             (None, Some(localizer)) => localizer.newest().map(|(_, map_from_local)| map_from_local),
             (None, None) => of_graph(),
         };
-        // Where a robot is in a fixed map it should know soon; what closures change can wait until
-        // the back end has certainly answered, so that a run can be repeated.
+        // Where a robot is in a fixed map it should know soon, and that it is not known where it is; what closures change
+        // can wait until the back end has certainly answered, so that a run can be repeated.
         let soon = self.location.relocalizer.is_some()
             || self.location.localizer.is_some()
-            || self.location.just_located;
+            || self.location.just_located
+            || !self.newest_is_placed();
         let lag_nodes = if soon { 1 } else { self.config.graph.frame_update_lag_nodes };
         MapFrameUpdate {
             cause_node: self.node_ids.newest_front,
