@@ -1,7 +1,7 @@
 //! Choice of a robot on the command line: by its number, or by its name in the fleet.
 
+use crate::config::FleetConfig;
 use crate::run::Run;
-use config::Config;
 use msg::RobotId;
 use std::convert::Infallible;
 use std::path::PathBuf;
@@ -42,7 +42,7 @@ impl RobotChoice {
     }
 
     /// No robot has another's number as its name: the configuration refuses it.
-    fn find_in(&self, config: &Config) -> Option<RobotId> {
+    fn find_in(&self, config: &FleetConfig) -> Option<RobotId> {
         let mut all = RobotId::first(config.fleet.robots);
         let named = all.clone().find(|robot| config.robot_name(*robot) == self.0);
         named.or_else(|| {
@@ -53,7 +53,7 @@ impl RobotChoice {
 }
 
 /// Lists the robots, with the names that they have of their own.
-fn robots(config: &Config) -> String {
+fn robots(config: &FleetConfig) -> String {
     let count = config.fleet.robots;
     if config.fleet.names.is_empty() {
         return if count == 1 { "robot1 alone".into() } else { format!("robot1 to robot{count}") };
@@ -69,14 +69,14 @@ fn robots(config: &Config) -> String {
 mod tests {
     use super::*;
 
-    fn fleet(count: usize, names: &[&str]) -> Config {
-        let mut config = Config::default();
+    fn fleet(count: usize, names: &[&str]) -> FleetConfig {
+        let mut config = FleetConfig::default();
         config.fleet.robots = count;
         config.fleet.names = names.iter().map(|name| String::from(*name)).collect();
         config
     }
 
-    fn found(config: &Config, text: &str) -> Option<usize> {
+    fn found(config: &FleetConfig, text: &str) -> Option<usize> {
         text.parse::<RobotChoice>().unwrap().find_in(config).map(RobotId::number)
     }
 

@@ -158,7 +158,7 @@ impl FleetView {
         if names.is_empty() {
             String::new()
         } else {
-            style.wrap(&format!("names    {}", names.join("   ")), INDENT)
+            style.wrap(&format!("robots   {}", names.join("   ")), INDENT)
         }
     }
 
@@ -312,8 +312,8 @@ mod tests {
         let names = ["alice", "", "robot3"].map(String::from);
         let named = fleet().with_names(&names);
         let text = named.table(&Style::PLAIN);
-        assert!(text.contains("names    robot1 is alice\n"), "{text}");
-        assert!(!fleet().table(&Style::PLAIN).contains("names "));
+        assert!(text.contains("robots   robot1 is alice\n"), "{text}");
+        assert!(!fleet().table(&Style::PLAIN).contains("robots "));
         let json = serde_json::to_value(&named.robots).unwrap();
         assert_eq!((&json[0]["name"], &json[1]["name"]), (&"alice".into(), &serde_json::Value::Null));
     }
