@@ -258,9 +258,11 @@ impl ExternalWorld {
         let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
         state.source = Some((origin.source, origin.received));
-        if state.last_transform.is_some_and(|last| origin.received - last < SOURCE_TIMEOUT_S)
-            || !self.is_of_one_publisher(origin, robot, RobotTopic::Odometry)?
-        {
+        if state.last_transform.is_some_and(|last| origin.received - last < SOURCE_TIMEOUT_S) {
+            return Ok(());
+        }
+        if !self.is_of_one_publisher(origin, robot, RobotTopic::Odometry)? {
+            self.note_waiting(origin, robot, &parent_from_child, false)?;
             return Ok(());
         }
         let state = &self.robots[robot.index()];
@@ -360,6 +362,8 @@ fn is_held_by_other(holder: Option<(SourceId, Stamp)>, origin: &Origin<'_>) -> b
     holder.is_some_and(|(of, at)| of != origin.source && origin.received - at < SOURCE_TIMEOUT_S)
 }
 
+#[cfg(test)]
+mod driver_trials;
 #[cfg(test)]
 mod mount_tests;
 #[cfg(test)]

@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     fn scan(range_m: f32) -> Box<Scan> {
-        let mut scan: Box<Scan> = bytemuck::zeroed_box();
+        let mut scan: Box<Scan> = Box::new(bytemuck::Zeroable::zeroed());
         scan.len = 3;
         scan.ranges_m[..3].copy_from_slice(&[range_m, f32::INFINITY, range_m]);
         scan

@@ -3,11 +3,12 @@
 //!
 //! Stamps of ROS 2 are taken as they are. Without this, all scans would be refused until the time has caught up.
 
+use super::checks::{TransformError, planar_pose};
 use super::frozen::RepeatedScan;
 use super::publishers::PublisherId;
 use super::suspects::STEP_MESSAGES;
 use super::{ExternalWorld, Origin, RobotState, SentPose, SourceId};
-use msg::{Pose2, RobotId, Stamp, pose::wrap_angle};
+use msg::{Pose2, RobotFrameTransform, RobotId, Stamp, pose::wrap_angle};
 use std::fmt;
 
 /// Scans stamped so much earlier than the newest one mean that the source's clock was set back, if several in a row agree, seconds.
@@ -28,6 +29,10 @@ const JUMP_RAD: f64 = 0.3;
 const DRIVER_SILENCE_S: f64 = 0.5;
 const BEGIN_M: f64 = 0.05;
 const BEGIN_RAD: f64 = 0.05;
+/// Odometry of another publisher than before goes on from the robot's last pose if the robot was not faster than this since,
+/// metres and radians a second.
+const NEXT_DRIVER_M_S: f64 = 1.0;
+const NEXT_DRIVER_RAD_S: f64 = 2.0;
 
 /// A change of odometry that is no motion: REP-105 asks for odometry without jumps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,21 +47,27 @@ impl Jump {
     /// Returns the jump from one pose of a publisher to its next, if that is no motion. A driver can lose its origin though its publisher
     /// goes on, as when a robot's microcontroller is reset.
     pub(super) fn find(before: &SentPose, sent: Stamp, odom_from_base: &Pose2) -> Option<Self> {
-        let last = before.odom_from_base;
-        let jump = Self {
-            distance_m: last.distance_m(*odom_from_base),
-            turn_rad: wrap_angle(odom_from_base.yaw_rad - last.yaw_rad).abs(),
-            span_s: sent - before.sent,
-        };
-        if jump.span_s <= 0.0 {
-            return None;
-        }
-        let is_too_fast = jump.distance_m > JUMP_M + SPEED_MAX_M_S * jump.span_s
-            || jump.turn_rad > JUMP_RAD + TURN_MAX_RAD_S * jump.span_s;
+        let jump = Self::between(before, sent, odom_from_base)?;
         let begins_anew = jump.span_s > DRIVER_SILENCE_S
             && is_at_origin(odom_from_base, BEGIN_M, BEGIN_RAD)
-            && !is_at_origin(&last, JUMP_M, JUMP_RAD);
-        (is_too_fast || begins_anew).then_some(jump)
+            && !is_at_origin(&before.odom_from_base, JUMP_M, JUMP_RAD);
+        (jump.is_faster_than(SPEED_MAX_M_S, TURN_MAX_RAD_S) || begins_anew).then_some(jump)
+    }
+
+    /// Returns the change from one pose to a later one; `None` if it is not later.
+    fn between(before: &SentPose, sent: Stamp, odom_from_base: &Pose2) -> Option<Self> {
+        let last = before.odom_from_base;
+        let span_s = sent - before.sent;
+        (span_s > 0.0).then(|| Self {
+            distance_m: last.distance_m(*odom_from_base),
+            turn_rad: wrap_angle(odom_from_base.yaw_rad - last.yaw_rad).abs(),
+            span_s,
+        })
+    }
+
+    fn is_faster_than(&self, speed_m_s: f64, turn_rad_s: f64) -> bool {
+        self.distance_m > JUMP_M + speed_m_s * self.span_s
+            || self.turn_rad > JUMP_RAD + turn_rad_s * self.span_s
     }
 }
 
@@ -73,22 +84,52 @@ fn is_at_origin(pose: &Pose2, within_m: f64, within_rad: f64) -> bool {
 
 /// The publishers on DDS of a robot's odometry: of the topic, and of the transform odom -> base.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Drivers([Option<PublisherId>; 2]);
+pub(super) struct Drivers([Driver; 2]);
+
+/// The publisher whose poses are taken, and the first pose of one that waits until it is known whether that one has ended.
+#[derive(Clone, Copy, Debug, Default)]
+struct Driver {
+    taken: Option<PublisherId>,
+    waiting: Option<(PublisherId, Pose2)>,
+}
 
 impl Drivers {
-    /// Takes the publisher of a pose; returns whether it is another one than before and its odometry begins at the origin. The robot's
-    /// driver was then started again. One whose odometry goes on where it was, as of robot_localization before a driver that runs on,
-    /// was not.
-    pub fn is_restart(
+    /// Takes a pose of a publisher whose poses are not taken yet.
+    pub fn add_waiting(
         &mut self,
         publisher: Option<PublisherId>,
         is_of_transform: bool,
         odom_from_base: &Pose2,
-    ) -> bool {
-        let Some(publisher) = publisher else { return false };
-        let before = self.0[usize::from(is_of_transform)].replace(publisher);
-        before.is_some_and(|before| before != publisher) && is_at_origin(odom_from_base, ORIGIN_M, ORIGIN_RAD)
+    ) {
+        let waiting = &mut self.0[usize::from(is_of_transform)].waiting;
+        let Some(publisher) =
+            publisher.filter(|publisher| waiting.is_none_or(|(known, _)| known != *publisher))
+        else {
+            return;
+        };
+        *waiting = Some((publisher, *odom_from_base));
     }
+
+    /// Takes a pose; returns the first one that was heard of its publisher, if that is another one than before.
+    pub fn take(
+        &mut self,
+        publisher: Option<PublisherId>,
+        is_of_transform: bool,
+        odom_from_base: &Pose2,
+    ) -> Option<Pose2> {
+        let publisher = publisher?;
+        let driver = &mut self.0[usize::from(is_of_transform)];
+        let first = driver.waiting.take_if(|(waiting, _)| *waiting == publisher);
+        let before = driver.taken.replace(publisher)?;
+        (before != publisher).then(|| first.map_or(*odom_from_base, |(_, first)| first))
+    }
+}
+
+/// Returns whether the odometry of another publisher than before begins anew: at its origin, or where the robot cannot have got since its last
+/// pose. Odometry that goes on where it was, as of robot_localization before a driver that runs on, does not.
+fn is_restart(first: &Pose2, from_last: Option<Jump>) -> bool {
+    is_at_origin(first, ORIGIN_M, ORIGIN_RAD)
+        || from_last.is_some_and(|way| way.is_faster_than(NEXT_DRIVER_M_S, NEXT_DRIVER_RAD_S))
 }
 
 impl ExternalWorld {
@@ -104,12 +145,14 @@ impl ExternalWorld {
         is_of_transform: bool,
     ) -> bool {
         let state = &mut self.robots[robot.index()];
-        if state.drivers.is_restart(origin.publisher, is_of_transform, odom_from_base) {
+        let before = state.last_pose.filter(|last| last.is_of_transform == is_of_transform);
+        let first_of_next = state.drivers.take(origin.publisher, is_of_transform, odom_from_base);
+        let way = before.and_then(|before| Jump::between(&before, sent, odom_from_base));
+        if first_of_next.is_some_and(|first| is_restart(&first, way)) {
             self.notices.push(format!("{robot}: its driver was started again: odometry has a new origin"));
             state.repeated_scan = RepeatedScan::default();
             return true;
         }
-        let before = state.last_pose.filter(|last| last.is_of_transform == is_of_transform);
         let Some(jump) = before.and_then(|before| Jump::find(&before, sent, odom_from_base)) else {
             return false;
         };
@@ -118,6 +161,19 @@ impl ExternalWorld {
         let begins_anew = origin.publisher.is_some();
         state.watch.add_jump(robot, &jump, begins_anew, origin.received, &mut self.notices);
         begins_anew
+    }
+
+    /// Takes a pose of odometry that waits until it is known whether the publisher before has ended.
+    pub(super) fn note_waiting(
+        &mut self,
+        origin: &Origin<'_>,
+        robot: RobotId,
+        transform: &RobotFrameTransform,
+        is_of_transform: bool,
+    ) -> Result<(), TransformError> {
+        let odom_from_base = planar_pose(transform)?;
+        self.robots[robot.index()].drivers.add_waiting(origin.publisher, is_of_transform, &odom_from_base);
+        Ok(())
     }
 
     /// Whether a scan stamped `step_s` later than the newest one, and those in a row before it, show that the clock was set back.
@@ -161,17 +217,37 @@ mod tests {
     fn a_new_publisher_whose_odometry_begins_at_the_origin_is_a_restarted_driver() {
         let at = |x_m| Pose2::new(x_m, 0.0, 0.1);
         let mut drivers = Drivers::default();
-        assert!(!drivers.is_restart(Some(DRIVER), true, &at(0.0)), "the first one");
-        assert!(!drivers.is_restart(Some(DRIVER), true, &at(3.0)));
-        assert!(!drivers.is_restart(Some(DRIVER), true, &at(0.0)), "the same one is back at its origin");
-        assert!(
-            !drivers.is_restart(Some(NEXT), false, &at(0.0)),
-            "the topic is another estimate than the transform"
-        );
-        assert!(drivers.is_restart(Some(NEXT), true, &at(0.1)));
-        assert!(!drivers.is_restart(Some(NEXT), true, &at(0.1)), "once");
-        assert!(!drivers.is_restart(Some(DRIVER), true, &at(2.0)), "its odometry goes on");
-        assert!(!drivers.is_restart(None, true, &at(0.0)), "a client on TCP has no publisher");
+        let mut is_restart = |publisher, is_of_transform, x_m| {
+            let first = drivers.take(publisher, is_of_transform, &at(x_m));
+            first.is_some_and(|first| super::is_restart(&first, None))
+        };
+        assert!(!is_restart(Some(DRIVER), true, 0.0), "the first one");
+        assert!(!is_restart(Some(DRIVER), true, 3.0));
+        assert!(!is_restart(Some(DRIVER), true, 0.0), "the same one is back at its origin");
+        assert!(!is_restart(Some(NEXT), false, 0.0), "the topic is another estimate than the transform");
+        assert!(is_restart(Some(NEXT), true, 0.1));
+        assert!(!is_restart(Some(NEXT), true, 0.1), "once");
+        assert!(!is_restart(Some(DRIVER), true, 2.0), "its odometry goes on");
+        assert!(!is_restart(None, true, 0.0), "a client on TCP has no publisher");
+    }
+
+    #[test]
+    fn a_robot_that_drives_on_while_its_next_driver_waits_is_told_by_the_first_pose_that_was_heard() {
+        let at = |x_m| Pose2::new(x_m, 0.0, 0.0);
+        let mut drivers = Drivers::default();
+        assert_eq!(drivers.take(Some(DRIVER), true, &at(3.0)), None);
+        drivers.add_waiting(Some(NEXT), true, &at(0.1));
+        drivers.add_waiting(Some(NEXT), true, &at(0.5));
+        assert_eq!(drivers.take(Some(NEXT), true, &at(0.9)), Some(at(0.1)));
+        assert_eq!(drivers.take(Some(NEXT), true, &at(1.0)), None);
+    }
+
+    #[test]
+    fn a_new_publisher_that_begins_where_the_robot_cannot_have_got_is_a_restarted_driver() {
+        let way = |distance_m, span_s| Some(Jump { distance_m, turn_rad: 0.0, span_s });
+        let first = Pose2::new(1.0, 0.0, 0.0);
+        assert!(is_restart(&first, way(3.0, 2.1)), "it was heard late");
+        assert!(!is_restart(&first, way(1.0, 2.1)) && !is_restart(&first, None));
     }
 
     fn jump(before: [f64; 3], after: [f64; 3], span_s: f64) -> bool {

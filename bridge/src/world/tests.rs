@@ -43,13 +43,13 @@ fn world() -> (ExternalWorld, Messages) {
     (world, messages)
 }
 
-fn payload(message: &impl Message) -> Vec<u8> {
+pub(super) fn payload(message: &impl Message) -> Vec<u8> {
     let mut bytes = Vec::new();
     encode(message, &mut bytes);
     bytes
 }
 
-fn exact() -> SourceClock {
+pub(super) fn exact() -> SourceClock {
     SourceClock::new(ClockOffset::Fixed(0.0))
 }
 
@@ -93,7 +93,7 @@ fn a_scan_is_checked_and_its_ranges_are_limited() {
     assert_eq!(messages.borrow().len(), 1);
 }
 
-fn edge(parent: &str, child: &str, stamp: i64, x_m: f64, rotation: [f64; 4]) -> TransformStamped {
+pub(super) fn edge(parent: &str, child: &str, stamp: i64, x_m: f64, rotation: [f64; 4]) -> TransformStamped {
     TransformStamped {
         stamp: Stamp(stamp),
         frame_id: parent.into(),

@@ -104,7 +104,7 @@ impl ExternalWorld {
             if child_frame == RobotFrame::BaseFootprint || !state.has_footprint {
                 state.last_transform = Some(origin.received);
                 if !self.is_of_one_publisher(origin, robot, RobotTopic::OdometryTransform)? {
-                    return Ok(());
+                    return self.note_waiting(origin, robot, &parent_from_child, true).map_err(wrong);
                 }
                 self.send_odometry(origin, robot, [transform.stamp, stamp], &parent_from_child, true)
                     .map_err(wrong)?;
