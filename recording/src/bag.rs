@@ -90,8 +90,8 @@ pub struct Bag {
     pub base_from_scan: Pose2,
     /// What is left out, and what was not as expected.
     pub left_out: LeftOut,
-    /// Why the file ends before its index, if it does.
-    pub broken: Option<String>,
+    /// What of the files is damaged and left out, if anything is.
+    pub damage: Option<String>,
 }
 
 /// Numbers of messages of a bag that are left out, and of times when its clock was set back.
@@ -115,7 +115,7 @@ pub struct LeftOut {
 #[derive(Default)]
 pub struct BagReader {
     found: Found,
-    broken: Option<String>,
+    damage: Option<String>,
 }
 
 impl BagReader {
@@ -143,7 +143,7 @@ impl BagReader {
             }
             self.found.add(&message, scan);
         }
-        self.broken = self.broken.take().or_else(|| reader.broken().map(str::to_owned));
+        self.damage = self.damage.take().or_else(|| reader.damage());
         Ok(ends)
     }
 
@@ -152,8 +152,8 @@ impl BagReader {
     /// # Errors
     /// The bag has not what is needed: each error says what there is instead.
     pub fn finish(self, options: &BagOptions) -> Result<Bag, BagError> {
-        match (self.found.bag(options), self.broken) {
-            (Ok(bag), broken) => Ok(Bag { broken, ..bag }),
+        match (self.found.bag(options), self.damage) {
+            (Ok(bag), damage) => Ok(Bag { damage, ..bag }),
             (Err(error), Some(why)) => Err(BagError::Damaged { error: Box::new(error), why }),
             (Err(error), None) => Err(error),
         }

@@ -1,7 +1,7 @@
 //! Recordings of a fleet: ROS 2 messages in MCAP files, as rosbag2 writes them, and their reading.
 //!
 //! [`RecordingWriter`] makes the bytes of a file; the caller writes them. [`RecordingReader`] reads such files and
-//! those of rosbag2, up to the place where a broken one ends. [`bag`] finds the scans and the odometry of a robot in them.
+//! those of rosbag2, without what is damaged. [`bag`] finds the scans and the odometry of a robot in them.
 //!
 //! ```
 //! use msg::Stamp;
@@ -19,7 +19,7 @@
 //! let message = reader.next_message()?.expect("one message");
 //! assert_eq!((&*message.topic, &*message.message_type), ("/chatter", "std_msgs/String"));
 //! assert_eq!((message.at, &message.payload[..]), (Stamp::from_seconds(1.5), &payload[..]));
-//! assert!(reader.next_message()?.is_none() && reader.broken().is_none());
+//! assert!(reader.next_message()?.is_none() && reader.damage().is_none());
 //! # Ok(())
 //! # }
 //! ```

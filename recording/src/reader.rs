@@ -1,19 +1,21 @@
-//! Reads MCAP files from their beginning, up to the place where a broken one ends.
+//! Reads MCAP files from their beginning, without the chunks that are damaged, up to the place where a damaged file ends.
 
-use mcap::records::Record;
+use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, parse_record};
 use msg::Stamp;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::io::Read;
 use std::rc::Rc;
 
-/// Longest record or chunk that is read, bytes: four maps of the largest size.
+/// Longest record or chunk that is read, bytes, before and after it is decompressed: four maps of the largest size.
 const RECORD_BYTES_MAX: usize = 256 << 20;
 /// Most topics of a file.
 const TOPICS_MAX: usize = 4096;
 /// Bytes that are read from the file at once.
 const READ_BYTES: usize = 64 << 10;
+/// Damaged chunks whose times are named; more are counted.
+const DAMAGED_NAMED_MAX: usize = 4;
 /// Longest metadata record that is kept, bytes.
 const METADATA_BYTES_MAX: usize = 1 << 20;
 
@@ -50,16 +52,36 @@ struct Channel {
     message_type: Rc<str>,
 }
 
-/// Reader of one file. It yields messages in the order of the file.
-pub struct RecordingReader<R> {
-    input: R,
-    reader: LinearReader,
+/// Topics, types and metadata that were read so far.
+#[derive(Default)]
+struct Tables {
     types: HashMap<u16, Rc<str>>,
     channels: HashMap<u16, Channel>,
     metadata: BTreeMap<String, BTreeMap<String, String>>,
+}
+
+/// Chunks that cannot be used.
+#[derive(Default)]
+struct DamagedChunks {
+    /// Times of the first ones in the file, nanoseconds, and why each cannot be used.
+    named: Vec<([u64; 2], String)>,
+    count: usize,
+}
+
+/// Reader of one file. It yields messages in the order of the file, but none of a chunk that is damaged.
+pub struct RecordingReader<R> {
+    input: R,
+    reader: LinearReader,
+    tables: Tables,
+    /// Messages of the newest chunk.
+    waiting: VecDeque<RecordedMessage>,
+    damaged: DamagedChunks,
+    /// Beginning of the first chunk, nanoseconds.
+    begin: Option<u64>,
     records: u64,
     is_over: bool,
-    broken: Option<String>,
+    /// Why the file ends before its index.
+    end: Option<String>,
 }
 
 /// What the next step of reading gave.
@@ -73,27 +95,33 @@ enum Step {
 impl<R: Read> RecordingReader<R> {
     /// Begins to read.
     pub fn new(input: R) -> Self {
-        let options = LinearReaderOptions::default()
-            .with_validate_chunk_crcs(true)
-            .with_record_length_limit(RECORD_BYTES_MAX);
+        let options =
+            LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(RECORD_BYTES_MAX);
         Self {
             input,
             reader: LinearReader::new_with_options(options),
-            types: HashMap::new(),
-            channels: HashMap::new(),
-            metadata: BTreeMap::new(),
+            tables: Tables::default(),
+            waiting: VecDeque::new(),
+            damaged: DamagedChunks::default(),
+            begin: None,
             records: 0,
             is_over: false,
-            broken: None,
+            end: None,
         }
     }
 
-    /// Returns the next message; `None` at the end, and where a broken file ends: see [`RecordingReader::broken`].
+    /// Returns the next message; `None` at the end, and where a damaged file ends: see [`RecordingReader::damage`].
     ///
     /// # Errors
     /// The file cannot be read, or is no MCAP.
     pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, ReadError> {
-        while !self.is_over {
+        loop {
+            if let Some(message) = self.waiting.pop_front() {
+                return Ok(Some(message));
+            }
+            if self.is_over {
+                return Ok(None);
+            }
             match self.step() {
                 Ok(Step::Message(message)) => return Ok(Some(message)),
                 Ok(Step::Other) => {}
@@ -108,31 +136,98 @@ impl<R: Read> RecordingReader<R> {
                     if self.records == 0 {
                         return Err(ReadError::NoMcap(why));
                     }
-                    self.broken = Some(why.to_string());
+                    self.end = Some(why.to_string());
                 }
             }
         }
-        Ok(None)
     }
 
-    /// Returns why the file ends before its index, once the last message was read: it was cut off or damaged.
-    pub fn broken(&self) -> Option<&str> {
-        self.broken.as_deref()
+    /// Returns what of the file cannot be used and why, once the last message was read: it was cut off or damaged.
+    pub fn damage(&self) -> Option<String> {
+        let begin = self.begin.unwrap_or_default();
+        let seconds = |at: u64| at.saturating_sub(begin) as f64 * 1e-9;
+        let DamagedChunks { named, count } = &self.damaged;
+        let mut damages: Vec<String> = Vec::new();
+        for ([from, to], why) in named {
+            damages.push(format!(
+                "what was recorded from {:.1} s to {:.1} s after the beginning is damaged and left out ({why})",
+                seconds(*from),
+                seconds(*to)
+            ));
+        }
+        if *count > named.len() {
+            damages.push(format!("so are {} more parts", count - named.len()));
+        }
+        damages.extend(self.end.as_ref().map(|why| format!("{why}; used up to there")));
+        (!damages.is_empty()).then(|| damages.join("; "))
     }
 
     /// Returns a metadata record that was read so far.
     pub fn metadata(&self, name: &str) -> Option<&BTreeMap<String, String>> {
-        self.metadata.get(name)
+        self.tables.metadata.get(name)
     }
 
     fn step(&mut self) -> Result<Step, McapError> {
-        let record = match self.reader.next_event() {
+        let (data, opcode) = match self.reader.next_event() {
             None => return Ok(Step::End),
             Some(Err(why)) => return Err(why),
             Some(Ok(LinearReadEvent::ReadRequest(bytes))) => return Ok(Step::Missing(bytes)),
-            Some(Ok(LinearReadEvent::Record { data, opcode })) => parse_record(opcode, data)?,
+            Some(Ok(LinearReadEvent::Record { data, opcode })) => (data, opcode),
         };
         self.records += 1;
+        let header = match parse_record(opcode, data)? {
+            Record::Chunk { header, .. } => header,
+            record => return Ok(self.tables.take(record).map_or(Step::Other, Step::Message)),
+        };
+        self.begin.get_or_insert(header.message_start_time);
+        match records_of_chunk(data) {
+            Ok(records) => {
+                self.waiting.extend(records.into_iter().filter_map(|record| self.tables.take(record)));
+            }
+            Err(why) => self.damaged.add([header.message_start_time, header.message_end_time], &why),
+        }
+        Ok(Step::Other)
+    }
+}
+
+/// Returns the records of a chunk, if none of it is damaged: what a wrong checksum covers may be wrong anywhere.
+fn records_of_chunk(chunk: &[u8]) -> Result<Vec<Record<'static>>, McapError> {
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(RECORD_BYTES_MAX);
+    let mut reader = LinearReader::new_with_options(options);
+    let input = [&[op::CHUNK], &(chunk.len() as u64).to_le_bytes()[..], chunk].concat();
+    let mut rest = &input[..];
+    let mut records = Vec::new();
+    while let Some(event) = reader.next_event() {
+        match event? {
+            LinearReadEvent::ReadRequest(bytes) => {
+                let next = rest.split_off(..bytes.min(rest.len())).unwrap_or_default();
+                reader.insert(next.len()).copy_from_slice(next);
+                reader.notify_read(next.len());
+            }
+            LinearReadEvent::Record { data, opcode } => {
+                records.push(parse_record(opcode, data)?.into_owned())
+            }
+        }
+    }
+    Ok(records)
+}
+
+impl DamagedChunks {
+    fn add(&mut self, times: [u64; 2], why: &McapError) {
+        self.count += 1;
+        if self.named.len() < DAMAGED_NAMED_MAX {
+            self.named.push((times, why.to_string()));
+        }
+    }
+}
+
+impl Tables {
+    /// Takes a record; returns the message, if it is one of a known topic.
+    fn take(&mut self, record: Record<'_>) -> Option<RecordedMessage> {
         match record {
             Record::Schema { header, .. } if self.types.len() < TOPICS_MAX => {
                 let name = header.name.replacen("/msg/", "/", 1);
@@ -144,14 +239,14 @@ impl<R: Read> RecordingReader<R> {
                 self.channels.insert(channel.id, Channel { topic, encoding, message_type });
             }
             Record::Message { header, data } => {
-                let Some(channel) = self.channels.get(&header.channel_id) else { return Ok(Step::Other) };
-                return Ok(Step::Message(RecordedMessage {
+                let channel = self.channels.get(&header.channel_id)?;
+                return Some(RecordedMessage {
                     topic: channel.topic.clone(),
                     message_type: channel.message_type.clone(),
                     encoding: channel.encoding.clone(),
                     at: Stamp(i64::try_from(header.log_time).unwrap_or(i64::MAX)),
                     payload: data.into_owned(),
-                }));
+                });
             }
             Record::Metadata(metadata) => {
                 let size =
@@ -162,6 +257,6 @@ impl<R: Read> RecordingReader<R> {
             }
             _ => {}
         }
-        Ok(Step::Other)
+        None
     }
 }

@@ -40,7 +40,7 @@ fn read_all(bytes: &[u8]) -> (usize, Option<String>) {
     while let Ok(Some(_)) = reader.next_message() {
         count += 1;
     }
-    (count, reader.broken().map(str::to_owned))
+    (count, reader.damage())
 }
 
 #[test]
@@ -55,7 +55,7 @@ fn what_was_written_is_read_with_its_types_and_description() {
     );
     assert_eq!((message.at, message.payload), (Stamp(42), expected));
     assert!(reader.next_message().unwrap().is_none());
-    assert_eq!(reader.broken(), None);
+    assert_eq!(reader.damage(), None);
     assert_eq!(reader.metadata(METADATA).unwrap()["seed"], "7");
 }
 
@@ -72,11 +72,42 @@ fn after_a_kill_all_flushed_messages_can_be_read() {
         writer.flush().unwrap();
         bytes.extend(writer.take_bytes());
     }
-    let (count, broken) = read_all(&bytes);
+    let (count, damage) = read_all(&bytes);
     assert_eq!(count, 30, "there is no index and no end");
-    assert!(broken.is_some());
-    let (count, broken) = read_all(&bytes[..bytes.len() - 100]);
-    assert!(count >= 20 && broken.is_some(), "all but the last chunk: {count}");
+    assert!(damage.is_some());
+    let (count, damage) = read_all(&bytes[..bytes.len() - 100]);
+    assert!(count >= 20 && damage.is_some(), "all but the last chunk: {count}");
+}
+
+#[test]
+fn a_damaged_chunk_is_left_out_and_those_before_and_behind_it_are_used() {
+    let mut writer = RecordingWriter::new(&BTreeMap::new()).unwrap();
+    let topic = writer.add_topic("/robot1/scan", LaserScan::TYPE, Durability::Volatile).unwrap();
+    let mut chunks = Vec::new();
+    for second in 0..3 {
+        for scan_number in 0..10 {
+            let at = second * SECOND + scan_number * SECOND / 10;
+            writer.write(topic, Stamp(at), &payload(&scan(at))).unwrap();
+        }
+        writer.flush().unwrap();
+        chunks.push(writer.take_bytes());
+    }
+    let end = writer.finish().unwrap();
+    let whole = [&chunks.concat()[..], &end].concat();
+    assert_eq!(read_all(&whole), (30, None));
+    // A chunk has 9 bytes before its length is over; its lengths and times follow. Behind a wrong length nothing can be read.
+    let from = chunks[0].len();
+    let length = u64::from_le_bytes(whole[from + 1..from + 9].try_into().unwrap()) as usize;
+    for at in (from + 100..from + 9 + length).step_by(7) {
+        let mut damaged = whole.clone();
+        damaged[at] ^= 0x5a;
+        let (count, damage) = read_all(&damaged);
+        let damage = damage.unwrap_or_default();
+        assert!(
+            count == 20 && damage.starts_with("what was recorded from 1.0 s to 1.9 s"),
+            "byte {at}: {count}, {damage}"
+        );
+    }
 }
 
 #[test]
@@ -86,7 +117,7 @@ fn whatever_a_damaged_file_lacks_it_is_said_to_be_damaged() {
     for end in (16..bytes.len() - 1).step_by(97) {
         match read(&bytes[..end], &BagOptions::default()) {
             Ok(bag) => {
-                assert!(bag.broken.is_some(), "cut at {end}");
+                assert!(bag.damage.is_some(), "cut at {end}");
                 used += 1;
             }
             Err(BagError::Damaged { .. }) => lacking += 1,

@@ -52,7 +52,7 @@ fn replay(path: &Path) -> String {
     while let Some(message) = reader.next_message().unwrap() {
         recording.add(&message);
     }
-    assert_eq!((reader.broken(), recording.malformed), (None, 0));
+    assert_eq!((reader.damage(), recording.malformed), (None, 0));
     recording.sort();
     let mut fleet = Lockstep::replay(&config, recording).unwrap();
     for _ in 0..TICKS {
@@ -103,7 +103,7 @@ fn a_recording_that_is_split_is_whole_in_each_file() {
             has_fixed_transforms |= &*message.topic == "/tf_static";
             messages += 1;
         }
-        assert_eq!(reader.broken(), None);
+        assert_eq!(reader.damage(), None);
         assert!(has_fixed_transforms || index == 0, "latched messages begin each file: {}", file.display());
     }
     assert_eq!(messages, summary.topics.iter().map(|topic| topic.messages).sum::<u64>());

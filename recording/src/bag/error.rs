@@ -10,12 +10,12 @@ pub enum BagError {
     /// The file cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// What is needed is not in the part before the damage.
-    #[error("{error}; the file is damaged ({why}), and was used up to there")]
+    /// What is needed is not in the parts that can be read.
+    #[error("{error}; the file is damaged: {why}")]
     Damaged {
         /// What is missing.
         error: Box<BagError>,
-        /// Why the file ends before its index.
+        /// What is left out of it.
         why: String,
     },
     /// There is no scan.

@@ -144,8 +144,8 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Vec<
                 "{path} is of another run than {path_of_first}: expected the files of one recording"
             )));
         }
-        if let Some(why) = reader.broken() {
-            let damage = format!("{}: {why}; used up to there", path.display());
+        if let Some(why) = reader.damage() {
+            let damage = format!("{}: {why}", path.display());
             output::note(&damage);
             damages.push(damage);
         }

@@ -163,7 +163,7 @@ impl Log {
     pub fn damage(&self) -> Option<&str> {
         match self {
             Self::Carmen(_) => None,
-            Self::Recording(scans) => scans.bag.broken.as_deref(),
+            Self::Recording(scans) => scans.bag.damage.as_deref(),
         }
     }
 
@@ -186,8 +186,8 @@ fn recorded_mount(path: &Path) -> Option<Pose2> {
 /// Says what is left out of a recording, and why.
 fn note_left_out(path: &Path, bag: &Bag) {
     let path = path.display();
-    if let Some(why) = &bag.broken {
-        output::note(&format!("{path}: {why}; used up to there"));
+    if let Some(why) = &bag.damage {
+        output::note(&format!("{path}: {why}"));
     }
     let LeftOut { malformed, too_many_beams, without_odometry, other_frames, stray_stamps, clock_steps } =
         bag.left_out;

@@ -103,7 +103,7 @@ impl Summary {
             );
         }
         if let Some(why) = &s.damage {
-            text += &format!("  damaged   {why}; used up to there\n");
+            text += &format!("  damaged   {why}\n");
         }
         let rejected = s.rejected_stamp_repeated + s.rejected_stamp_went_back + s.rejected_other;
         if rejected > 0 {
