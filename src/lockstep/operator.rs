@@ -10,6 +10,7 @@ use msg::{Monotonic, RobotId, Stamp};
 use nav::{DriveCommand, ExplorationTour, FleetObservation, RobotObservation, TourConfig, Twist};
 use operator::joystick::SimulatedJoystick;
 use operator::link_statistics::MessageContent;
+use operator::robot_topics::RobotTopics;
 use operator::world_state::{RobotState, WorldState, decode_maps};
 use std::net::SocketAddr;
 use std::rc::Rc;
@@ -50,9 +51,10 @@ impl Operator {
         client.subscribe("/merged_map", "nav_msgs/OccupancyGrid");
         client.subscribe("/selected_robot", "std_msgs/Int32");
         client.subscribe("/emergency_stop", "std_msgs/Bool");
+        let names = run.config.robot_names();
         for robot in run.robots() {
-            client.subscribe(&format!("/{robot}/scan"), "sensor_msgs/LaserScan");
-            client.subscribe(&format!("/{robot}/map"), "nav_msgs/OccupancyGrid");
+            client.subscribe(&names.topic(robot, "scan"), "sensor_msgs/LaserScan");
+            client.subscribe(&names.topic(robot, "map"), "nav_msgs/OccupancyGrid");
             client.advertise::<ros::Twist>(&velocity_topic(robot));
         }
         client.advertise::<ros::Int32>("/selected_robot");
@@ -60,7 +62,7 @@ impl Operator {
         Self {
             client,
             network: network.clone(),
-            world: WorldState::default(),
+            world: WorldState::new(RobotTopics::new(names)),
             tour: ExplorationTour::new(config, run.robots()),
             joystick: SimulatedJoystick::default(),
             together,

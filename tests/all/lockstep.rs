@@ -29,9 +29,16 @@ fn a_seed_is_a_run() {
     for (channel, bytes) in &once {
         assert!(bytes == &again[channel], "two runs differ on {channel}");
     }
+    let mut named = config(3, 5);
+    named.fleet.names = ["alice", "bob", "lab/carol"].map(String::from).into();
+    let named = messages(&named, 20);
     let other = messages(&config(3, 6), 20);
     for channel in ["robot1/scan", "robot2/odometry", "robot3/pose_estimate", "merged_map"] {
         assert!(once[channel] != other[channel], "another seed says the same on {channel}");
+        assert!(
+            once[channel] == named[channel],
+            "robots with names of their own do other things on {channel}"
+        );
     }
 }
 
