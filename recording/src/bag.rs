@@ -92,6 +92,8 @@ pub struct Bag {
     pub left_out: LeftOut,
     /// What of the files is damaged and left out, if anything is.
     pub damage: Option<String>,
+    /// What is wrong with the first malformed message, with its topic.
+    pub first_fault: Option<String>,
 }
 
 /// Numbers of messages of a bag that are left out, and of times when its clock was set back.
@@ -152,11 +154,19 @@ impl BagReader {
     /// # Errors
     /// The bag has not what is needed: each error says what there is instead.
     pub fn finish(self, options: &BagOptions) -> Result<Bag, BagError> {
-        match (self.found.bag(options), self.damage) {
-            (Ok(bag), damage) => Ok(Bag { damage, ..bag }),
-            (Err(error), Some(why)) => Err(BagError::Damaged { error: Box::new(error), why }),
-            (Err(error), None) => Err(error),
+        let (count, first_fault) = (self.found.malformed, self.found.first_fault.clone());
+        let damage = self.damage;
+        let mut error = match self.found.bag(options) {
+            Ok(bag) => return Ok(Bag { damage, first_fault, ..bag }),
+            Err(error) => error,
+        };
+        if let Some(first_fault) = first_fault {
+            error = BagError::Malformed { error: Box::new(error), count, first_fault };
         }
+        Err(match damage {
+            Some(why) => BagError::Damaged { error: Box::new(error), why },
+            None => error,
+        })
     }
 }
 
@@ -223,7 +233,6 @@ impl Found {
         let no_scan = || match self.compressed {
             0 => BagError::NoScan {
                 wished: options.scan_topic.clone(),
-                malformed: self.malformed,
                 too_many_beams: self.too_many_beams,
                 topics: self.topics.iter().cloned().collect(),
             },

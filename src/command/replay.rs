@@ -13,6 +13,7 @@ mod player;
 mod player_services;
 mod recorded_fleet;
 mod records;
+mod scan_gaps;
 mod serve;
 mod starts;
 mod summary;
@@ -31,6 +32,7 @@ use clap::builder::RangedU64ValueParser;
 use feeder::Feeder;
 use formats::map_file::{self, write_map_with_reasons};
 use merge::MergeConfig;
+use msg::grid::{Occupancy, occupancy};
 use msg::{Pose2, Stamp};
 use options::Replay;
 use records::{BagArgs, Log, is_recording};
@@ -141,7 +143,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     config.closures.enabled &= !args.no_closures;
     let log = match (args.logs.as_slice(), &args.merge) {
         (log @ [_], None) => log,
-        (logs, Some(starts)) if (2..=msg::ROBOTS_MAX).contains(&logs.len()) => {
+        (logs, Some(starts)) if (1..=msg::ROBOTS_MAX).contains(&logs.len()) => {
             options::refuse(Replay::MergedLogs, args)?;
             return fleet::run(args, starts, &config, &merging);
         }
@@ -179,12 +181,18 @@ fn finish(args: &ReplayArgs, replayed: Replayed, truth: &[(Stamp, Pose2)]) -> Re
     let drawing = Instant::now();
     let grid = back.map();
     summary.map_ms = Some(drawing.elapsed().as_secs_f64() * 1e3);
+    let has_wall = grid.cells.iter().any(|cell| occupancy(*cell) == Occupancy::Occupied);
     (summary.map_width, summary.map_height) = (Some(grid.header.width), Some(grid.header.height));
     if let Some(path) = &args.map {
         write_map_with_reasons(&map_file::stem(path), grid, &summary.unreliable_reasons)?;
     }
     output::print_either(args.json, &summary, || summary.text())?;
+    let all = summary.scans + summary.rejected();
     match placed {
+        _ if 2 * summary.scans < all => {
+            Err(ReplayError::FewScans { path: args.logs[0].clone(), used: summary.scans, all })
+        }
+        _ if !has_wall => Err(ReplayError::NoWall { path: args.logs[0].clone(), scans: summary.scans }),
         0 => Err(ReplayError::NothingPlaced { path: args.logs[0].clone(), scans: summary.scans }),
         _ => Ok(()),
     }
@@ -197,6 +205,20 @@ fn note_shortcomings(args: &ReplayArgs, summary: &Summary, placed: usize) {
         let (lost, not_located) = (summary.lost, summary.not_located);
         output::note(&format!(
             "{lost} scans did not match the map, and during {not_located} the robot was not located: the trajectory is not whole"
+        ));
+    }
+    let rejected = summary.rejected();
+    if rejected > 0 {
+        output::note(&format!(
+            "{rejected} scans are left out: the stamps of {} repeat and of {} go back, {} have another geometry than the first",
+            summary.rejected_stamp_repeated, summary.rejected_stamp_went_back, summary.rejected_other
+        ));
+    }
+    if let Some(ratio) =
+        summary.evidence.odometry_agreement.distance_ratio.filter(|_| summary.has_other_scale())
+    {
+        output::note(&format!(
+            "distances by scans are {ratio:.2} times those of odometry: one of the two measures wrongly, and the map may have a wrong size"
         ));
     }
     if args.bag.truth_topic.is_some() && summary.error.is_none() {

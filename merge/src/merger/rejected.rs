@@ -16,8 +16,9 @@ pub enum MapRejected {
     },
     /// Size, resolution or origin is not plausible.
     #[error(
-        "a grid of {width} x {height} cells of {resolution_m} m with {cells} cells and origin {origin:?} is invalid: \
-         expected finite numbers within 100 km, 0.005 to 1 m a cell, and as many cells as the size says"
+        "a grid of {width} x {height} cells of {resolution_m} m with {cells} cells and its corner at x {} m, y {} m, yaw {} rad is invalid: \
+         expected finite numbers within 100 km, 0.005 to 1 m a cell, and as many cells as the size says",
+        origin.x_m, origin.y_m, origin.yaw_rad
     )]
     Malformed {
         /// Columns, by the header.
@@ -41,7 +42,8 @@ pub enum MapRejected {
     },
     /// The merged map would have more than [`MAP_CELLS_MAX`] cells.
     #[error(
-        "the merged map would be {width} x {height} cells, more than {MAP_CELLS_MAX}: is a start pose wrong?"
+        "the merged map would be {width} x {height} cells, more than a map has here, {MAP_CELLS_MAX}, its margin included: the maps are too large, \
+         or lie far apart because a start is wrong"
     )]
     TooLarge {
         /// Columns it would have.

@@ -18,17 +18,25 @@ pub enum BagError {
         /// What is left out of it.
         why: String,
     },
+    /// What is needed may be in messages that cannot be used.
+    #[error("{error}; {count} messages cannot be decoded or are no measurement, the first on {first_fault}")]
+    Malformed {
+        /// What is missing.
+        error: Box<BagError>,
+        /// Number of these messages.
+        count: u64,
+        /// What is wrong with the first of them, with its topic.
+        first_fault: String,
+    },
     /// There is no scan.
     #[error(
-        "the bag has no sensor_msgs/LaserScan{} in CDR ({malformed} malformed messages, {too_many_beams} scans with more than \
-         {BEAMS_MAX} beams, which is the limit); it has {}",
+        "the bag has no sensor_msgs/LaserScan{} in CDR ({too_many_beams} scans with more than {BEAMS_MAX} beams, \
+         which is the limit); it has {}",
         on_topic(.wished), list(.topics)
     )]
     NoScan {
         /// Topic that was named.
         wished: Option<String>,
-        /// Number of malformed messages.
-        malformed: u64,
         /// Number of scans with too many beams.
         too_many_beams: u64,
         /// Topics of the bag with their types.
@@ -139,6 +147,17 @@ pub enum BagError {
         /// Number of steps of its clock.
         steps: usize,
     },
+}
+
+impl BagError {
+    /// Returns the topics of which one would have to be named, where the bag has scans on several.
+    pub fn scan_topics(&self) -> Option<&[String]> {
+        match self {
+            Self::SeveralScans(topics) => Some(topics),
+            Self::Damaged { error, .. } | Self::Malformed { error, .. } => error.scan_topics(),
+            _ => None,
+        }
+    }
 }
 
 fn on_topic(wished: &Option<String>) -> String {

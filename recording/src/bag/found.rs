@@ -3,7 +3,7 @@
 use super::epochs::Timed;
 use super::{BagScan, frame};
 use crate::RecordedMessage;
-use msg::{BEAMS_MAX, Pose2, Scan};
+use msg::{Pose2, Scan};
 use ros_messages::cdr::{DecodeError, Reader};
 use ros_messages::read::Transform;
 use ros_messages::spatial_pose::{self, SpatialPose};
@@ -27,6 +27,23 @@ const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 /// Change of a mount that is an adjustment of the same one, metres and radians.
 const MOUNT_CHANGE_M: f64 = 0.05;
 const MOUNT_CHANGE_RAD: f64 = 0.05;
+
+/// Why a message cannot be used.
+#[derive(Debug, thiserror::Error)]
+enum MessageFault {
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+    #[error("{field} is {found}; expected {expected}")]
+    Number { field: &'static str, found: f64, expected: &'static str },
+    #[error("a scan of {0} beams; expected 2 or more")]
+    FewBeams(usize),
+    #[error(
+        "{of} has the position {position:?} and the rotation {rotation:?}; expected metres, and a quaternion x, y, z, w of length 1"
+    )]
+    Pose { of: String, position: [f64; 3], rotation: [f64; 4] },
+    #[error("more than {FRAMES_MAX} frames of scans")]
+    Frames,
+}
 
 /// Odometry of one topic.
 #[derive(Default)]
@@ -62,6 +79,8 @@ pub struct Found {
     pub transforms: BTreeMap<String, Edges>,
     pub topics: BTreeSet<String>,
     pub malformed: u64,
+    /// What is wrong with the first malformed message.
+    pub first_fault: Option<String>,
     pub too_many_beams: u64,
     pub compressed: u64,
     scan_count: usize,
@@ -80,51 +99,57 @@ impl Found {
         }
         if message.payload.starts_with(&ZSTD_MAGIC) {
             self.compressed += 1;
-        } else if self.decode(message, scan).is_none() {
+        } else if let Err(fault) = self.decode(message, scan) {
             self.malformed += 1;
+            self.first_fault.get_or_insert_with(|| format!("{}: {fault}", message.topic));
         }
     }
 
-    fn decode(&mut self, message: &RecordedMessage, scan: &mut Scan) -> Option<()> {
+    fn decode(&mut self, message: &RecordedMessage, scan: &mut Scan) -> Result<(), MessageFault> {
         match &*message.message_type {
             LaserScan::TYPE => self.add_scan(message, scan),
             Odometry::TYPE if self.pose_count < POSES_MAX => {
-                let mut from = Reader::new(&message.payload).ok()?;
-                let odometry = read::odometry(&mut from).ok()?;
-                let value = spatial_pose::planar_pose(odometry.translation, odometry.rotation)?;
+                let mut from = Reader::new(&message.payload)?;
+                let odometry = read::odometry(&mut from)?;
+                let (position, rotation) = (odometry.translation, odometry.rotation);
+                let value = spatial_pose::planar_pose(position, rotation)
+                    .ok_or_else(|| MessageFault::Pose { of: "the pose".into(), position, rotation })?;
                 let poses = self.odometry.entry(message.topic.to_string()).or_default();
                 if poses.base_frame != odometry.child_frame_id {
                     poses.base_frame = odometry.child_frame_id.to_owned();
                 }
                 poses.poses.push(Timed { at: message.at, stamp: odometry.stamp, value });
                 self.pose_count += 1;
-                Some(())
+                Ok(())
             }
             TfMessage::TYPE => {
-                let mut from = Reader::new(&message.payload).ok()?;
-                let mut is_well_formed = true;
-                let result = read::transforms(&mut from, |transform| {
-                    is_well_formed &= self.add_transform(message, &transform).is_some();
-                });
-                result.ok().filter(|()| is_well_formed)
+                let mut from = Reader::new(&message.payload)?;
+                let mut first_fault = Ok(());
+                read::transforms(&mut from, |transform| {
+                    let added = self.add_transform(message, &transform);
+                    if first_fault.is_ok() {
+                        first_fault = added;
+                    }
+                })?;
+                first_fault
             }
-            _ => Some(()),
+            _ => Ok(()),
         }
     }
 
-    fn add_scan(&mut self, message: &RecordedMessage, scan: &mut Scan) -> Option<()> {
-        let mut from = Reader::new(&message.payload).ok()?;
+    fn add_scan(&mut self, message: &RecordedMessage, scan: &mut Scan) -> Result<(), MessageFault> {
+        let mut from = Reader::new(&message.payload)?;
         let scan_frame = match read::laser_scan(&mut from, scan) {
             Ok(name) => frame(name),
             Err(DecodeError::TooManyBeams { .. }) => {
                 self.too_many_beams += 1;
-                return Some(());
+                return Ok(());
             }
-            Err(_) => return None,
+            Err(fault) => return Err(fault.into()),
         };
         let bytes = size_of_val(scan.ranges_m());
         if self.scan_count >= SCANS_MAX || self.ranges_bytes + bytes > RANGES_BYTES_MAX {
-            return Some(());
+            return Ok(());
         }
         let value = checked(scan)?;
         let known = self.scan_frames.iter().position(|known| *known == scan_frame);
@@ -134,24 +159,33 @@ impl Found {
                 self.scan_frames.push(scan_frame);
                 self.scan_frames.len() - 1
             }
-            None => return None,
+            None => return Err(MessageFault::Frames),
         };
         (self.scan_count, self.ranges_bytes) = (self.scan_count + 1, self.ranges_bytes + bytes);
         let raw = Timed { at: message.at, stamp: value.stamp, value: (frame_number, value) };
         self.scans.entry(message.topic.to_string()).or_default().push(raw);
-        Some(())
+        Ok(())
     }
 
-    fn add_transform(&mut self, message: &RecordedMessage, transform: &Transform<'_>) -> Option<()> {
-        let pose = SpatialPose::checked(transform.translation, transform.rotation)?;
+    fn add_transform(
+        &mut self,
+        message: &RecordedMessage,
+        transform: &Transform<'_>,
+    ) -> Result<(), MessageFault> {
+        let Transform { frame_id, child_frame_id, translation: position, rotation, .. } = *transform;
+        let pose = SpatialPose::checked(position, rotation).ok_or_else(|| MessageFault::Pose {
+            of: format!("the transform {frame_id} -> {child_frame_id}"),
+            position,
+            rotation,
+        })?;
         let is_known = self.transforms.contains_key(&*message.topic);
         if self.pose_count >= POSES_MAX || (!is_known && self.transforms.len() >= TF_TOPICS_MAX) {
-            return Some(());
+            return Ok(());
         }
         let edges = self.transforms.entry(message.topic.to_string()).or_default();
         let key = (frame(transform.frame_id), frame(transform.child_frame_id));
         if !edges.contains_key(&key) && edges.len() >= FRAMES_MAX {
-            return Some(());
+            return Ok(());
         }
         self.pose_count += 1;
         let edge =
@@ -161,21 +195,45 @@ impl Found {
         edge.changes |= change.x_m.hypot(change.y_m) > MOUNT_CHANGE_M
             || change.yaw_rad.sin().atan2(change.yaw_rad.cos()).abs() > MOUNT_CHANGE_RAD;
         edge.poses.push(Timed { at: message.at, stamp: transform.stamp, value });
-        Some(())
+        Ok(())
     }
 }
 
 /// Returns a scan whose numbers are a measurement's.
-fn checked(scan: &Scan) -> Option<BagScan> {
+fn checked(scan: &Scan) -> Result<BagScan, MessageFault> {
     let (first, step) = (f64::from(scan.angle_min_rad), f64::from(scan.angle_increment_rad));
     let beams = scan.ranges_m().len();
-    let spans_a_turn_at_most = first.is_finite()
-        && step != 0.0
-        && (step * (beams as f64 - 1.0)).abs() <= std::f64::consts::TAU + step.abs();
-    let has_range = scan.range_min_m >= 0.0 && scan.range_max_m > scan.range_min_m;
-    let has_times = scan.time_increment_s.is_finite() && scan.scan_time_s.is_finite();
-    let is_scan = (BEAMS_MIN..=BEAMS_MAX).contains(&beams) && spans_a_turn_at_most && has_range && has_times;
-    is_scan.then(|| BagScan {
+    if beams < BEAMS_MIN {
+        return Err(MessageFault::FewBeams(beams));
+    }
+    let span_rad = (step * (beams as f64 - 1.0)).abs();
+    let numbers: [(&'static str, f64, bool, &'static str); 6] = [
+        ("angle_min", first, first.is_finite(), "a finite number, radians"),
+        (
+            "angle_increment",
+            step,
+            step != 0.0 && span_rad <= std::f64::consts::TAU + step.abs(),
+            "radians, not 0, all beams within one turn",
+        ),
+        ("range_min", scan.range_min_m.into(), scan.range_min_m >= 0.0, "0 or more, metres"),
+        (
+            "range_max",
+            scan.range_max_m.into(),
+            scan.range_max_m > scan.range_min_m,
+            "more than range_min, metres",
+        ),
+        (
+            "time_increment",
+            scan.time_increment_s.into(),
+            scan.time_increment_s.is_finite(),
+            "a finite number, seconds",
+        ),
+        ("scan_time", scan.scan_time_s.into(), scan.scan_time_s.is_finite(), "a finite number, seconds"),
+    ];
+    if let Some((field, found, _, expected)) = numbers.into_iter().find(|(_, _, is_valid, _)| !is_valid) {
+        return Err(MessageFault::Number { field, found, expected });
+    }
+    Ok(BagScan {
         stamp: scan.header.stamp,
         odom_from_base: Pose2::IDENTITY,
         world_from_base: None,

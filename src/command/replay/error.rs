@@ -70,7 +70,7 @@ pub enum ReplayError {
     },
     /// A folder is no bag.
     #[error(
-        "{path} is a folder; expected a rosbag2 bag with its metadata.yaml, or names of .mcap files: {source}"
+        "{path} is a folder; expected a rosbag2 bag with its metadata.yaml (`ros2 bag reindex` writes it), or names of .mcap files: {source}"
     )]
     BagFolder {
         /// Path of the folder.
@@ -121,6 +121,30 @@ pub enum ReplayError {
         /// Number of scans that were read.
         scans: u64,
     },
+    /// Most scans cannot be used.
+    #[error(
+        "{}: {used} of {all} scans can be used, the results have no others: expected stamps that increase, and scans of one geometry",
+        path.display()
+    )]
+    FewScans {
+        /// Path of the log.
+        path: PathBuf,
+        /// Number of scans that were used.
+        used: u64,
+        /// Number of scans.
+        all: u64,
+    },
+    /// The map has no obstacle.
+    #[error(
+        "{}: the map has no wall: no reading of {scans} scans is an obstacle. Are ranges and range_max in metres, and does the LiDAR see \
+         anything?", path.display()
+    )]
+    NoWall {
+        /// Path of the log.
+        path: PathBuf,
+        /// Number of scans that were read.
+        scans: u64,
+    },
     /// Only a fleet's own recording is played for clients.
     #[error(
         "--serve plays the recording of a simulated fleet, as `mr-slam record` and `--record` write it, without --merge \
@@ -152,6 +176,12 @@ pub enum ReplayError {
     /// Several logs without `--merge`, or too many.
     #[error("{0} logs: expected one, 2 to {max} with --merge, or the .mcap files of one recording", max = msg::ROBOTS_MAX)]
     Logs(usize),
+    /// `--merge` with the scans of one robot, or of too many.
+    #[error(
+        "the logs have scans of {0} robots: --merge expects 2 to {max}, each in a log of its own, or on a topic of its own in a recording",
+        max = msg::ROBOTS_MAX
+    )]
+    Robots(usize),
     /// A line of the file with the starts is malformed.
     #[error(
         "{path}:{line}: `{found}`: expected `index time x y theta`, the first robot with index 0, and finite numbers"

@@ -109,14 +109,14 @@ pub fn run(
     merging: &MergeConfig,
 ) -> Result<(), ReplayError> {
     let began = Instant::now();
-    let logs = args.logs.chunks(1).map(|log| Log::read(log, args)).collect::<Result<Vec<_>, _>>()?;
+    let logs = Log::read_robots(args)?;
     let known = match starts {
         Starts::Known(file) => starts::read(file, logs.len())?,
         Starts::Unknown => vec![None; logs.len()],
     };
-    let robots = RobotId::first(logs.len()).zip(&logs).zip(&args.logs);
+    let robots = RobotId::first(logs.len()).zip(&logs);
     let robots = robots
-        .map(|((id, log), path)| Robot::new(id, log, path, args, config))
+        .map(|(id, (name, log))| Robot::new(id, log, name, args, config))
         .collect::<Result<Vec<_>, _>>()?;
     let mut merged = Merged {
         fleet: FleetPoseGraph::new(merging, &known),
@@ -149,20 +149,20 @@ impl<'a> Robot<'a> {
     fn new(
         id: RobotId,
         log: &'a Log,
-        path: &Path,
+        name: &str,
         args: &ReplayArgs,
         config: &SlamConfig,
     ) -> Result<Self, ReplayError> {
         let mut records = log.records();
         let Some(first) = records.next_laser() else {
             let (skipped, malformed) = (records.skipped(), records.malformed);
-            return Err(ReplayError::NoScan { path: path.to_owned(), skipped, malformed });
+            return Err(ReplayError::NoScan { path: name.into(), skipped, malformed });
         };
         let mut config = config.clone();
         let on_robot = first.line.base_from_scan;
         config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
         let (front, back) = Slam::new(config.clone()).split();
-        let mut summary = Summary { log: path.display().to_string(), ..Summary::default() };
+        let mut summary = Summary { log: name.into(), ..Summary::default() };
         summary.count_log(log);
         let (submaps, feeder, truth) = (Submaps::new(&config), Feeder::new(args, log), log.truth());
         Ok(Self { id, records, truth, next: Some(first), front, back, submaps, feeder, summary })

@@ -1,6 +1,7 @@
 //! Files of one log: a file, the folder of a rosbag2 bag, or the parts into which a recorder split one.
 
 use super::ReplayError;
+use crate::command::output;
 use msg::{Scan, Stamp};
 use recording::RecordingReader;
 use recording::bag::{Bag, BagOptions, BagReader};
@@ -46,6 +47,33 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, ReplayError> {
     Ok(files)
 }
 
+/// Returns the names of recordings in a bag's folder that its metadata.yaml does not list: they are not read.
+pub fn unlisted(folder: &Path, listed: &[PathBuf]) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().take(FILES_MAX).flatten();
+    let files = entries.map(|entry| entry.path());
+    let is_unlisted = |file: &PathBuf| {
+        let has_other_name = listed.iter().all(|known| known.file_name() != file.file_name());
+        file.extension().is_some_and(|extension| extension == "mcap") && has_other_name
+    };
+    let names =
+        files.filter(is_unlisted).filter_map(|file| Some(file.file_name()?.to_string_lossy().into_owned()));
+    let mut names: Vec<String> = names.collect();
+    names.sort();
+    names
+}
+
+/// Says which files of a bag's folder are not read.
+pub fn note_unlisted(folder: &Path, listed: &[PathBuf]) {
+    let names = if folder.is_dir() { unlisted(folder, listed) } else { Vec::new() };
+    if !names.is_empty() {
+        output::note(&format!(
+            "{}: not read, because metadata.yaml does not list them (`ros2 bag reindex` writes it anew): {}",
+            folder.display(),
+            names.join(", "),
+        ));
+    }
+}
+
 fn unquoted(text: &str) -> &str {
     text.trim().trim_matches(['"', '\''])
 }
@@ -72,7 +100,9 @@ pub fn read_bag(paths: &[PathBuf], options: &BagOptions) -> Result<Bag, ReplayEr
     let mut parts: Vec<((Stamp, Stamp), &PathBuf)> = Vec::new();
     for path in paths {
         let mut of_scans: Option<(Stamp, Stamp)> = None;
-        for file in files_of(path)? {
+        let files = files_of(path)?;
+        note_unlisted(path, &files);
+        for file in files {
             let opened =
                 File::open(&file).map_err(|source| ReplayError::Read { path: file.clone(), source })?;
             let ends = bag
@@ -116,6 +146,16 @@ mod tests {
         let names = ["b_1.mcap", "a_0.mcap"].map(|name| folder.path().join(name));
         assert_eq!(files_of(folder.path()).unwrap(), names);
         assert_eq!(files_of(Path::new("one.mcap")).unwrap(), [Path::new("one.mcap")]);
+    }
+
+    #[test]
+    fn recordings_that_the_metadata_does_not_list_are_named() {
+        let folder = folder_with("  relative_file_paths:\n  - a_0.mcap\n  storage_identifier: mcap\n");
+        for name in ["a_0.mcap", "a_1.mcap", "notes.txt"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let listed = files_of(folder.path()).unwrap();
+        assert_eq!(unlisted(folder.path(), &listed), ["a_1.mcap"]);
     }
 
     #[test]

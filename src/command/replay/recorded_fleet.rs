@@ -1,5 +1,6 @@
 //! Replay of a fleet's own recording: the robots send what they sent, and SLAM, merging and figures run in lockstep.
 
+use super::scan_gaps::ScanGaps;
 use super::{ReplayArgs, ReplayError, log_files, player, serve};
 use crate::command::output;
 use crate::config::FleetConfig;
@@ -9,9 +10,11 @@ use crate::process::record::{PLANAR_ODOMETRY, map_hash};
 use crate::stop::Stop;
 use formats::map_file;
 use msg::Scan;
-use recording::fleet::FleetRecording;
+use recording::fleet::{FleetRecording, SensorMessage};
 use recording::{METADATA, RecordingReader};
 use reports::{FleetView, Style};
+use ros_messages::RobotNames;
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -41,13 +44,13 @@ fn bag_error(path: &Path, why: recording::ReadError) -> ReplayError {
 /// Replays the files of one recording, writes the requested maps and prints figures and the hash of the maps.
 pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
     let begun = Instant::now();
-    let (recording, damage) = read(&args.logs, config)?;
+    let (recording, missing) = read(&args.logs, config)?;
     let config = &with_known_starts(config, &recording);
     let ends_s = recording.ends.seconds();
     let figures = Figures {
         seconds: ends_s,
         malformed: recording.malformed + recording.left_out,
-        damage,
+        missing: &missing,
         times_real_time: None,
     };
     if args.serving.serve {
@@ -67,20 +70,20 @@ pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
 }
 
 /// Figures of a replay beside those of the fleet.
-struct Figures {
+struct Figures<'a> {
     /// Time that was replayed, seconds.
     seconds: f64,
     /// Number of messages that could not be used.
     malformed: u64,
-    /// Why files are used in part: they were cut off or damaged.
-    damage: Vec<String>,
+    /// What of the recording is missing.
+    missing: &'a Missing,
     /// Speed of the replay; `None`: it was one for people.
     times_real_time: Option<f64>,
 }
 
 /// Writes the requested maps and prints figures and hash.
-fn finish(args: &ReplayArgs, fleet: &mut Lockstep, figures: &Figures) -> Result<(), ReplayError> {
-    let Figures { seconds, malformed, damage, times_real_time } = figures;
+fn finish(args: &ReplayArgs, fleet: &mut Lockstep, figures: &Figures<'_>) -> Result<(), ReplayError> {
+    let Figures { seconds, malformed, missing, times_real_time } = figures;
     let hash = map_hash(fleet.maps());
     if let Some(path) = &args.map {
         // The merged map under this name, and each robot's beside it.
@@ -92,7 +95,7 @@ fn finish(args: &ReplayArgs, fleet: &mut Lockstep, figures: &Figures) -> Result<
     }
     let view = FleetView::new(fleet.stats()).with_edges(fleet.merge_edges());
     let summary = serde_json::json!({
-        "maps_sha256": hash, "seconds": seconds, "malformed_messages": malformed, "damage": damage,
+        "maps_sha256": hash, "seconds": seconds, "malformed_messages": malformed, "damage": missing.damages, "gaps": missing.gaps,
         "times_real_time": times_real_time, "fleet": view,
     });
     let text = || {
@@ -125,13 +128,23 @@ fn run_of(reader: &RecordingReader<BufReader<File>>) -> [Option<String>; 2] {
     [EPOCH, CONFIGURATION].map(|key| metadata.and_then(|metadata| metadata.get(key)).cloned())
 }
 
-/// Reads the files of one recording; returns it, and why files are used in part.
-fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Vec<String>), ReplayError> {
+/// What of a recording is missing.
+struct Missing {
+    /// What of the files is damaged.
+    damages: Vec<String>,
+    /// Pauses in the robots' scans, by the robot.
+    gaps: BTreeMap<String, ScanGaps>,
+}
+
+/// Reads the files of one recording; returns it, and what of it is missing.
+fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Missing), ReplayError> {
     let mut damages = Vec::new();
     let mut first: Option<[Option<String>; 2]> = None;
     let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
     let mut recording = FleetRecording::new(&config.robot_names(), PLANAR_ODOMETRY, scan);
-    let files = paths.iter().map(|path| log_files::files_of(path)).collect::<Result<Vec<_>, _>>()?.concat();
+    let files = paths.iter().map(|path| log_files::files_of(path)).collect::<Result<Vec<_>, _>>()?;
+    paths.iter().zip(&files).for_each(|(path, files)| log_files::note_unlisted(path, files));
+    let files = files.concat();
     for path in &files {
         let mut reader = open(path)?;
         while let Some(message) = reader.next_message().map_err(|why| bag_error(path, why))? {
@@ -158,5 +171,26 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Vec<
     if !recording.has_scans() {
         return Err(ReplayError::Replay("the recording has no scans of the fleet's robots".into()));
     }
-    Ok((recording, damages))
+    let gaps = note_missing(&recording, &config.robot_names());
+    Ok((recording, Missing { damages, gaps }))
+}
+
+/// Says which robots' scans pause, or come without odometry; returns the pauses.
+fn note_missing(recording: &FleetRecording, names: &RobotNames) -> BTreeMap<String, ScanGaps> {
+    let mut gaps_of_robots = BTreeMap::new();
+    for (robot, of_robot) in names.robots().zip(&recording.robots) {
+        let scans =
+            || of_robot.messages.iter().filter(|(_, message)| matches!(message, SensorMessage::Scan(_)));
+        let odometry = of_robot.messages.len() - scans().count();
+        if scans().next().is_some() && odometry == 0 {
+            output::note(&format!(
+                "{robot}: the recording has its scans and no odometry of it: it is mapped by scans alone"
+            ));
+        }
+        if let Some(gaps) = ScanGaps::find(scans().map(|(at, _)| *at)) {
+            output::note(&format!("{robot}: {gaps}"));
+            gaps_of_robots.insert(robot.to_string(), gaps);
+        }
+    }
+    gaps_of_robots
 }

@@ -1,5 +1,6 @@
 //! Scans of a log: a CARMEN log, or a recording in MCAP.
 
+use super::scan_gaps::ScanGaps;
 use super::{ReplayArgs, ReplayError, log_files, recorded_fleet};
 use crate::command::output;
 use formats::carmen::{LaserLine, Reader, Record};
@@ -107,8 +108,14 @@ impl Log {
             log_files::refuse_other_formats(path, &bytes)?;
             return gzip::unpack(bytes, LOG_MAX).map(Self::Carmen).map_err(fail);
         }
+        Self::of_topic(paths, args, args.bag.scan_topic.as_deref())
+    }
+
+    /// Reads the scans of a recording on one topic, which may be the only one.
+    fn of_topic(paths: &[PathBuf], args: &ReplayArgs, scan_topic: Option<&str>) -> Result<Self, ReplayError> {
+        let path = &paths[0];
         let options = BagOptions {
-            scan_topic: args.bag.scan_topic.clone(),
+            scan_topic: scan_topic.map(str::to_owned),
             odometry_topic: args.bag.odom_topic.clone(),
             odom_frame: args.bag.odom_frame.clone(),
             base_from_scan: args.bag.scanner,
@@ -123,6 +130,27 @@ impl Log {
             return Err(ReplayError::NoScanOfBag { path: path.clone(), malformed, without_odometry });
         }
         Ok(Self::of_bag(bag))
+    }
+
+    /// Reads the logs of several robots, each with its name: a log each, or a recording in which each robot has its topic of scans.
+    pub fn read_robots(args: &ReplayArgs) -> Result<Vec<(String, Self)>, ReplayError> {
+        let mut robots = Vec::new();
+        for path in args.logs.chunks(1) {
+            let name = path[0].display();
+            match Self::read(path, args) {
+                Ok(log) => robots.push((name.to_string(), log)),
+                Err(ReplayError::Bag { why, .. }) if why.scan_topics().is_some() => {
+                    for topic in why.scan_topics().unwrap_or_default() {
+                        robots.push((format!("{name} {topic}"), Self::of_topic(path, args, Some(topic))?));
+                    }
+                }
+                Err(why) => return Err(why),
+            }
+        }
+        match robots.len() {
+            2..=msg::ROBOTS_MAX => Ok(robots),
+            count => Err(ReplayError::Robots(count)),
+        }
     }
 
     /// Returns the log of a recording that was read.
@@ -159,6 +187,14 @@ impl Log {
         }
     }
 
+    /// Returns the pauses in a recording's scans, if it has any.
+    pub fn gaps(&self) -> Option<ScanGaps> {
+        match self {
+            Self::Carmen(_) => None,
+            Self::Recording(scans) => ScanGaps::find(scans.bag.scans.iter().map(|scan| scan.stamp)),
+        }
+    }
+
     /// Returns why a recording is used in part, if it was cut off or damaged.
     pub fn damage(&self) -> Option<&str> {
         match self {
@@ -188,6 +224,12 @@ fn note_left_out(path: &Path, bag: &Bag) {
     let path = path.display();
     if let Some(why) = &bag.damage {
         output::note(&format!("{path}: {why}"));
+    }
+    if let Some(fault) = &bag.first_fault {
+        output::note(&format!("{path}: what is wrong with the first malformed message, on {fault}"));
+    }
+    if let Some(gaps) = ScanGaps::find(bag.scans.iter().map(|scan| scan.stamp)) {
+        output::note(&format!("{path}: {gaps}"));
     }
     let LeftOut { malformed, too_many_beams, without_odometry, other_frames, stray_stamps, clock_steps } =
         bag.left_out;

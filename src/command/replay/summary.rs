@@ -1,6 +1,7 @@
 //! Summary of a replay, for people and for programs.
 
 use super::records::Log;
+use super::scan_gaps::ScanGaps;
 use msg::{Pose2, Stamp};
 use recording::bag::LeftOut;
 use serde::Serialize;
@@ -36,6 +37,8 @@ pub struct Summary {
     pub ends_at: Option<[f64; 3]>,
     /// Why a recording is used in part: it was cut off or damaged. `None`: it is whole.
     pub damage: Option<String>,
+    /// Pauses in the scans of a recording; `None`: there is none.
+    pub gaps: Option<ScanGaps>,
     /// Number of malformed lines.
     pub malformed_lines: u64,
     /// Number of lines of other kinds.
@@ -105,7 +108,10 @@ impl Summary {
         if let Some(why) = &s.damage {
             text += &format!("  damaged   {why}\n");
         }
-        let rejected = s.rejected_stamp_repeated + s.rejected_stamp_went_back + s.rejected_other;
+        if let Some(gaps) = &s.gaps {
+            text += &format!("  pauses    {gaps}\n");
+        }
+        let rejected = s.rejected();
         if rejected > 0 {
             text += &format!(
                 "  left out  {rejected} scans whose stamps repeat or go back, or whose geometry is wrong\n"
@@ -127,7 +133,8 @@ impl Summary {
         for reason in &s.unreliable_reasons {
             text += &format!("  unreliable {reason}: the map may be wrong by metres\n");
         }
-        if s.evidence.odometry_agreement.reasons().next().is_some() {
+        let agreement = &s.evidence.odometry_agreement;
+        if agreement.reasons().next().is_some() || has_other_scale(agreement) {
             text += &agreement_text(&s.evidence.odometry_agreement);
         }
         if let (Some(width), Some(height), Some(ms)) = (s.map_width, s.map_height, s.map_ms) {
@@ -144,6 +151,16 @@ impl Summary {
         text
     }
 
+    /// Returns the number of scans that are left out.
+    pub(super) fn rejected(&self) -> u64 {
+        self.rejected_stamp_repeated + self.rejected_stamp_went_back + self.rejected_other
+    }
+
+    /// Returns whether one of scans and odometry measures lengths wrongly.
+    pub(super) fn has_other_scale(&self) -> bool {
+        has_other_scale(&self.evidence.odometry_agreement)
+    }
+
     /// Copies the pose at the last scan, with its place in the map.
     pub(super) fn set_end(&mut self, last: Option<&(Stamp, Pose2, PlaceInMap)>) {
         let known = last.filter(|(_, _, place)| *place == PlaceInMap::Known);
@@ -153,6 +170,7 @@ impl Summary {
     /// Copies what a log says about itself, once all is read.
     pub(super) fn count_log(&mut self, log: &Log) {
         self.left_out = log.left_out().into();
+        self.gaps = log.gaps();
         self.damage = log.damage().map(str::to_owned);
     }
 
@@ -175,6 +193,14 @@ impl Summary {
         self.closure_searches = done.searches;
         self.relocalization = done.relocalization;
     }
+}
+
+/// Deviation of the lengths in the map from odometry's from which it is said, as a share: wheels and their tracks are measured better.
+const SCALE_TOLD: f64 = 0.1;
+
+/// Returns whether one of scans and odometry measures lengths wrongly.
+fn has_other_scale(agreement: &OdometryAgreement) -> bool {
+    agreement.distance_ratio.is_some_and(|ratio| (ratio - 1.0).abs() > SCALE_TOLD)
 }
 
 /// Returns the line that says how the motion in the map compares with odometry's.
