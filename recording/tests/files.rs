@@ -230,6 +230,25 @@ fn numbers_that_are_no_measurement_are_counted_and_left_out() {
     let options = BagOptions { without_odometry: true, ..BagOptions::default() };
     let bag = read(&file(&messages), &options).unwrap();
     assert_eq!((bag.scans.len(), bag.left_out.malformed), (1, 7));
+    // The first fault is said, in numbers, also where nothing is left.
+    assert!(bag.first_fault.unwrap().starts_with("/scan: "));
+    let said = |messages: &[(&str, &str, i64, Vec<u8>)]| {
+        read(&file(messages), &BagOptions::default()).unwrap_err().to_string()
+    };
+    let no_range = LaserScan { range_max: 0.0, ..scan(0) };
+    let no_scan = said(&[("/scan", LaserScan::TYPE, 0, payload(&no_range))]);
+    assert!(
+        no_scan.contains("the first on /scan: range_max is 0; expected more than range_min"),
+        "{no_scan}"
+    );
+    let mut mount = transform("base_footprint", "base_scan", [0.0; 3], 0);
+    mount.rotation = [0.0, 0.0, 0.7, 0.7];
+    let no_mount = said(&[
+        ("/scan", LaserScan::TYPE, 0, payload(&scan(0))),
+        ("/odom", RosOdometry::TYPE, 0, payload(&odometry(0, 0.0, 0.0))),
+        ("/tf_static", TfMessage::TYPE, 0, payload(&TfMessage { transforms: vec![mount] })),
+    ]);
+    assert!(no_mount.contains("/tf_static: the transform base_footprint -> base_scan has"), "{no_mount}");
 }
 
 #[test]

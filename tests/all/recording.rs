@@ -273,6 +273,16 @@ fn what_a_replay_cannot_do_is_refused_or_said() {
     let (is_done, said) =
         replay(&[whole.as_os_str(), "--no-closures".as_ref(), "--skip".as_ref(), "3".as_ref()]);
     assert!(!is_done && said.contains("--no-closures, --skip: without effect"), "{said}");
+    // Each robot of one recording has its topic of scans.
+    let merged = output_of(mr_slam().args(["replay", "--merge", "unknown", "--json"]).arg(&whole));
+    let merged: serde_json::Value = serde_json::from_slice(&merged.stdout).unwrap();
+    let logs: Vec<&str> = merged["robots"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter_map(|robot| robot["slam"]["log"].as_str())
+        .collect();
+    assert!(logs.len() == 2 && logs[1].ends_with("whole.mcap /robot2/scan"), "{logs:?}");
 }
 
 #[test]
