@@ -13,7 +13,7 @@ use crate::shared_memory::{Participant, Reader, Writer, wait};
 use crate::stop::Stop;
 use msg::{
     ExplorationAction, ExplorationCommand, ExplorationReport, ExplorationStatus, ExplorerState, Monotonic,
-    RobotId,
+    ROBOTS_MAX, RobotId,
 };
 use serde::Serialize;
 use std::time::{Duration, Instant};
@@ -168,6 +168,9 @@ pub fn run(args: &ExploreArgs, stop: &Stop) -> Result<(), ExploreError> {
     let report = exchange(&run, args, stop)?;
     let answer = Answer::new(&report, run.config.fleet.robots, begun.elapsed().as_secs_f64());
     output::print_either(args.json, &answer, || answer.text())?;
+    if args.action == ExploreAction::Stop && !of_persons(&report).is_empty() {
+        output::note(&format!("the robots that explored stand{}", of_persons(&report)));
+    }
     let is_on_its_way = !report.status().is_final() && report.status() != ExplorationStatus::Paused;
     if args.action != ExploreAction::Start
         || report.status() == ExplorationStatus::Completed
@@ -236,6 +239,17 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
     }
 }
 
+/// Says which robots go on after the end of an exploration, because they are a person's; empty if none is.
+fn of_persons(report: &ExplorationReport) -> String {
+    let is_manual = |robot: &RobotId| report.robot(robot.index()) == ExplorerState::Manual;
+    let robots: Vec<String> =
+        RobotId::first(ROBOTS_MAX).filter(is_manual).map(|robot| robot.to_string()).collect();
+    match robots.as_slice() {
+        [] => String::new(),
+        _ => format!("; {}: with what a person has told them, they go on", robots.join(", ")),
+    }
+}
+
 /// Stops the exploration after Ctrl-C; returns what became of it.
 fn interrupt(
     states: &mut Reader<ExplorationReport>,
@@ -246,7 +260,7 @@ fn interrupt(
     let answer =
         confirmation(commands, states, STOP_PATIENCE, |report: &ExplorationReport| report.number >= number);
     if let Some(report) = answer {
-        let reason = "interrupted here, all robots stop".into();
+        let reason = format!("interrupted here, the robots that explored stand{}", of_persons(&report));
         return ExploreError::NotCompleted { state: report.status().name(), reason };
     }
     let reason = "interrupted here; navigation does not confirm the stop, so robots may drive on: see `mr-slam status`";

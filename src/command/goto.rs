@@ -43,7 +43,7 @@ pub struct GotoArgs {
     /// Cancel the robot's goal instead
     #[arg(long, conflicts_with_all = ["pose", "own_map", "no_wait"])]
     pub cancel: bool,
-    /// Return half a second after the robot has taken the goal; an error if it is refused or paused
+    /// Return half a second after the robot has taken the goal; an error if it is refused, paused or blocked
     #[arg(long)]
     pub no_wait: bool,
     /// Print the result as JSON
@@ -145,7 +145,9 @@ pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
         distance_m: (state == NavigationStatus::Reached && report.remaining_m.is_finite())
             .then_some(report.remaining_m),
     };
-    let is_on_its_way = !state.is_final() && state != NavigationStatus::Paused;
+    // Blocked at once is no robot on its way: a script that goes on would rely on it.
+    let stands = state.is_final() || matches!(state, NavigationStatus::Paused | NavigationStatus::Blocked);
+    let is_on_its_way = !stands;
     let is_wanted = args.cancel || state == NavigationStatus::Reached || (args.no_wait && is_on_its_way);
     output::print_either(args.json, &answer, || {
         // An error says the reason itself.
@@ -154,7 +156,10 @@ pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
         let at = answer.distance_m.map_or_else(String::new, |m| format!(", {m:.2} m from the goal"));
         format!("{}: {} after {:.1} s{at}{why}\n", answer.robot, answer.state, answer.seconds)
     })?;
-    let reason = answer.reason;
+    let mut reason = answer.reason;
+    if state == NavigationStatus::Blocked {
+        reason += "; it keeps the goal, and gives it up if that lasts";
+    }
     if is_wanted { Ok(()) } else { Err(GotoError::NotReached { robot, state: state.name(), reason }) }
 }
 
