@@ -29,4 +29,5 @@ pub mod observer;
 pub mod offered_room;
 // Files that outlive a process.
 pub mod session_file;
+pub mod session_records;
 pub mod sessions;

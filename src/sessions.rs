@@ -6,7 +6,8 @@
 use crate::config::{FleetConfig, Mode};
 use crate::run::Run;
 use crate::session_file::{self, SessionFileError};
-use crate::storage::Storage;
+use crate::session_records;
+use crate::storage::{DiskStorage, Storage};
 use msg::{Pose2, ROBOTS_MAX, RobotId, SlamMode};
 use slam::{Session, SessionIdentity};
 use std::collections::BTreeMap;
@@ -94,11 +95,11 @@ pub fn identity(run: &Run, robot: RobotId) -> SessionIdentity {
     SessionIdentity::new(robot.number() as u32, run.begun.0, &run.config.slam)
 }
 
-/// Reads the session that a robot begins with, if there is one.
+/// Reads the session that a robot begins with, if there is one, with the nodes that its run has logged after it.
 pub fn first(config: &FleetConfig, robot: RobotId) -> Result<Option<Session>, SessionFileError> {
     let Some(path) = config.sessions.folder().map(|folder| file(folder, robot)) else { return Ok(None) };
     match session_file::read(&path, &SessionIdentity::new(robot.number() as u32, 0, &config.slam)) {
-        Ok(session) => Ok(Some(session)),
+        Ok(session) => Ok(Some(session_records::with_records(&DiskStorage, &path, session, &config.slam))),
         Err(why) if why.is_missing() => Ok(None),
         Err(why) => Err(why),
     }
@@ -115,14 +116,33 @@ pub fn first_mode(config: &FleetConfig, has_map: bool) -> SlamMode {
 /// Checks all sessions that a fleet begins with, before anything is started.
 pub fn check(config: &FleetConfig) -> Result<(), SessionsError> {
     let Some(folder) = config.sessions.folder() else { return Ok(()) };
-    let mut found = 0;
+    let mut missing = Vec::new();
     for robot in RobotId::first(config.fleet.robots) {
-        found += usize::from(first(config, robot)?.is_some());
+        if first(config, robot)?.is_none() {
+            missing.push(robot);
+        }
     }
-    if found == 0 {
+    if missing.len() == config.fleet.robots {
         return Err(SessionsError::Nothing { folder: folder.into() });
     }
+    warn_of_other_robots(folder, &missing, config.fleet.robots);
     known_starts(config, Vec::new()).map(drop)
+}
+
+/// Warns of robots that have no session in a folder, and of sessions there of robots that the fleet does not have.
+fn warn_of_other_robots(folder: &Path, missing: &[RobotId], robots: usize) {
+    let named = |robots: &mut dyn Iterator<Item = RobotId>| {
+        robots.map(|robot| robot.to_string()).collect::<Vec<_>>().join(", ")
+    };
+    let missing = named(&mut missing.iter().copied());
+    if !missing.is_empty() {
+        tracing::warn!("{}: no session of {missing}: each begins a new map", folder.display());
+    }
+    let surplus =
+        named(&mut RobotId::first(ROBOTS_MAX).skip(robots).filter(|robot| file(folder, *robot).exists()));
+    if !surplus.is_empty() {
+        tracing::warn!("{}: this fleet has no {surplus}: these sessions are not used", folder.display());
+    }
 }
 
 /// Returns the pose of each robot's map in the fleet's map. Of robots that begin with a session it is the saved one, if
@@ -214,7 +234,15 @@ pub fn write_starts(folder: &Path, known: &[Option<Pose2>], is_own_frame: bool) 
 /// Renames what an earlier run left of all robots but the first ones, which are `continued`.
 fn set_aside(folder: &Path, continued: usize) -> Result<(), SessionsError> {
     let starts = (continued == 0).then(|| folder.join(STARTS));
-    let of_robot = |robot| ["slam", "log0", "log1"].map(|kind| file(folder, robot).with_extension(kind));
+    let of_robot = |robot| {
+        let session = file(folder, robot);
+        let logs = session_records::all_files(&session);
+        std::iter::once(session).chain(logs)
+    };
+    for robot in RobotId::first(continued) {
+        session_records::keep_for_next_run(&file(folder, robot))
+            .map_err(|(file, source)| SessionsError::StartsFile { file, source })?;
+    }
     let files = RobotId::first(ROBOTS_MAX).skip(continued).flat_map(of_robot).chain(starts);
     let mut has_session = false;
     for path in files.filter(|path| path.exists()) {

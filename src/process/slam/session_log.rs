@@ -6,9 +6,10 @@
 
 use super::files::{FileOperation, SlamFileJob};
 use crate::run::Run;
+use crate::session_records::{self, FILE_BYTES_MAX, Records, WAITING_BYTES_MAX};
 use crate::sessions;
 use crate::storage::Storage;
-use ::slam::session::log::{LogContents, LogPosition, LogRecord, LogRecordBuilder, continuation};
+use ::slam::session::log::{LogPosition, LogRecord, LogRecordBuilder};
 use ::slam::{FrontEndState, LocalFrameEstimate, Node, SessionIdentity};
 use msg::{Monotonic, RobotId};
 use std::path::{Path, PathBuf};
@@ -18,10 +19,6 @@ use std::time::Duration;
 /// Time from a node to the request of its record. With the scan path's answer at its next scan (0.1 s) and the write,
 /// nodes older than 0.5 s are in the file.
 const RECORD_PERIOD: Duration = Duration::from_millis(200);
-/// Bytes of one file at which a session is saved in its place: about 4000 nodes of a dense LiDAR.
-const FILE_BYTES_MAX: u64 = 64 << 20;
-/// Bytes that wait for the scan path's state; more are dropped, and a session is saved instead.
-const WAITING_BYTES_MAX: usize = 8 << 20;
 
 /// The newest record that was read, and where the next one goes.
 #[derive(Clone, Copy, Debug, Default)]
@@ -61,7 +58,7 @@ impl SessionLog {
     pub fn new(run: &Run, robot: RobotId, to: LogEnd) -> Self {
         Self {
             waiting: LogRecordBuilder::default(),
-            files: files(run, robot),
+            files: session_records::files_of_run(run, robot),
             to,
             other_is_needed: to.has_records,
             waits_since: None,
@@ -183,12 +180,6 @@ impl SessionLog {
     }
 }
 
-/// Paths of a robot's log files.
-fn files(run: &Run, robot: RobotId) -> [PathBuf; 2] {
-    let session = sessions::file(&sessions::folder(run), robot);
-    [session.with_extension("log0"), session.with_extension("log1")]
-}
-
 /// Reads the records that follow a session at `newest`, and where the next record goes.
 pub(super) fn read(
     storage: &impl Storage,
@@ -196,39 +187,12 @@ pub(super) fn read(
     robot: RobotId,
     newest: LogPosition,
 ) -> (Vec<LogRecord>, LogEnd) {
-    let identity = sessions::identity(run, robot);
-    let mut to = LogEnd { newest, ..LogEnd::default() };
-    let mut records = Vec::new();
-    let mut ends = Vec::new();
-    for (file, path) in files(run, robot).into_iter().enumerate() {
-        let bytes = match storage.read(&path, FILE_BYTES_MAX + WAITING_BYTES_MAX as u64 * 2) {
-            Ok(bytes) => bytes,
-            Err(why) if why.kind() == std::io::ErrorKind::NotFound => continue,
-            Err(why) => {
-                tracing::warn!("slam of {robot}: {}: {why}; its nodes are lost", path.display());
-                continue;
-            }
-        };
-        let contents = LogContents::decode(&bytes);
-        if let Some((end, why)) = contents.incomplete_tail {
-            let cut = bytes.len() as u64 - end;
-            tracing::warn!(
-                "slam of {robot}: {}: the last {cut} bytes are cut off: the file {why}",
-                path.display()
-            );
-        }
-        for (record, end) in contents.records {
-            if (record.identity.run, record.identity.robot) == (identity.run, identity.robot) {
-                ends.push((record.position, file, end));
-                records.push(record);
-            }
-        }
-    }
-    let chain = continuation(newest, records);
-    if let Some(last) = chain.last()
-        && let Some(&(_, file, end)) = ends.iter().find(|(position, ..)| *position == last.position)
-    {
-        to = LogEnd { newest: last.position, file, end, has_records: true };
-    }
+    let files = session_records::files_of_run(run, robot);
+    let Records { chain, end } =
+        session_records::read(storage, &files, &sessions::identity(run, robot), newest);
+    let to = match (chain.last(), end) {
+        (Some(last), Some((file, end))) => LogEnd { newest: last.position, file, end, has_records: true },
+        _ => LogEnd { newest, ..LogEnd::default() },
+    };
     (chain, to)
 }
