@@ -37,6 +37,7 @@ use crate::processes::ProcessRow;
 use crate::recording_files::RecordingFiles;
 use crate::run::Run;
 use crate::spare_time::JobExecutor;
+use crate::{session_records, sessions};
 use ::bridge::Transport;
 use ::headset::wireless::Link;
 use ::recording::fleet::FleetRecording;
@@ -247,6 +248,14 @@ impl Lockstep {
             let slam = &member.slam()?.process;
             Some((member.robot?, slam.back_end.session(&slam.front_end_loop.front_state())))
         })
+    }
+
+    /// Returns the session with which a later fleet would begin if this one were killed now; `None` if nothing was saved yet.
+    pub fn saved_session(&self, robot: RobotId) -> Option<Session> {
+        let (run, storage) = (&self.world.run, &self.world.storage);
+        let path = sessions::file(&sessions::folder(run), robot);
+        let saved = sessions::read(storage, &path, &sessions::identity(run, robot)).ok()?;
+        Some(session_records::with_records(storage, &path, saved, &run.config.slam))
     }
 
     /// Returns the known start transform of each robot's map: `map` from `robotK/map`.

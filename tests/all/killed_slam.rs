@@ -52,6 +52,31 @@ fn known_cells(config: &FleetConfig, session: Session) -> BTreeSet<(i64, i64)> {
 }
 
 #[test]
+fn a_fleet_that_is_killed_at_any_moment_leaves_all_but_half_a_second_to_a_later_one() {
+    let robot = RobotId::new(1).unwrap();
+    let mut with_records = 0;
+    for seed in 1..=2 {
+        let mut fleet = Lockstep::new(&config(seed), true).unwrap();
+        let mut before = None;
+        for half_seconds in 4..20 {
+            let now = session_at(&mut fleet, 0.5 * f64::from(half_seconds)).expect("the process runs");
+            // Nothing was saved yet in the first seconds.
+            let saved = fleet.saved_session(robot);
+            if let (Some(saved), Some(before)) = (&saved, &before) {
+                let missing: Vec<Stamp> = stamps(before).difference(&stamps(saved)).copied().collect();
+                assert!(
+                    missing.is_empty(),
+                    "seed {seed}, {half_seconds} half seconds: nodes of {missing:?} are lost"
+                );
+                with_records += usize::from(stamps(saved).len() > 5);
+            }
+            before = Some(now);
+        }
+    }
+    assert!(with_records > 10, "{with_records}");
+}
+
+#[test]
 fn slam_killed_at_any_moment_loses_half_a_second_at_most() {
     let mut lost_cells = Vec::new();
     for seed in 1..=KILLS {
