@@ -73,6 +73,11 @@ pub fn file(folder: &Path, robot: RobotId) -> PathBuf {
     folder.join(format!("{robot}.slam"))
 }
 
+/// Returns the path of the file that says that a robot's SLAM is paused.
+pub fn pause_marker(folder: &Path, robot: RobotId) -> PathBuf {
+    folder.join(format!("{robot}.paused"))
+}
+
 /// Returns the folder of a run's own sessions.
 pub fn folder(run: &Run) -> PathBuf {
     run.dir.join(FOLDER)
@@ -239,6 +244,15 @@ fn set_aside(folder: &Path, continued: usize) -> Result<(), SessionsError> {
         let logs = session_records::all_files(&session);
         std::iter::once(session).chain(logs)
     };
+    for robot in RobotId::first(ROBOTS_MAX) {
+        let paused = pause_marker(folder, robot);
+        match std::fs::remove_file(&paused) {
+            Err(source) if source.kind() != io::ErrorKind::NotFound => {
+                return Err(SessionsError::StartsFile { file: paused, source });
+            }
+            _ => {}
+        }
+    }
     for robot in RobotId::first(continued) {
         session_records::keep_for_next_run(&file(folder, robot))
             .map_err(|(file, source)| SessionsError::StartsFile { file, source })?;

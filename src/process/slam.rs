@@ -12,6 +12,7 @@ pub mod back_end;
 pub mod commands;
 pub mod files;
 pub mod front_end_loop;
+mod pausing;
 pub mod refused;
 mod services;
 pub mod session_log;
@@ -26,14 +27,13 @@ use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
 use crate::time_slice;
 use ::slam::{
-    BackEnd, FrontEnd, FrontEndState, InitialPose, LocalFrameEstimate, MapFrameUpdate, NODES_IN_FLIGHT_MAX,
-    Node, Session, SlamConfig,
+    FrontEnd, FrontEndState, InitialPose, LocalFrameEstimate, MapFrameUpdate, NODES_IN_FLIGHT_MAX, Node,
+    Session, SlamConfig,
 };
-use back_end::BackEndWorker;
+use back_end::{BackEndWorker, InitialBackEnd};
 use files::{FileJobOutcome, SlamFileJob, SlamFileWorker};
 use front_end_loop::{BeginningFrontEnd, FrontEndLoop};
 use msg::{Header, Pose2, RobotId, Role, SlamMode};
-use session_log::LogEnd;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
@@ -196,8 +196,7 @@ fn serve_back_end(
 /// Front end and back end with which SLAM starts.
 struct InitialSlam {
     beginning: BeginningFrontEnd,
-    /// The back end, and the end of the log with its nodes.
-    back: (BackEnd, LogEnd),
+    back: InitialBackEnd,
 }
 
 /// Loads what an earlier process of this run saved and logged, else the fleet's initial session, else an empty map.
@@ -209,6 +208,7 @@ fn restore_or_create(
     clock: &impl Clock,
 ) -> Result<InitialSlam, Error> {
     let config = live_config(run);
+    let is_paused = pausing::was_paused(storage, run, robot);
     let identity = sessions::identity(run, robot);
     let saved = read_own_session(run, robot, storage);
     let has_session = saved.is_some();
@@ -232,8 +232,8 @@ fn restore_or_create(
         // Whether the robot had been found in a session's map is not known.
         let restart_map_from_odom = map_from_odom.filter(|_| back.nodes().is_empty());
         let beginning =
-            BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom: map_from_odom };
-        return Ok(InitialSlam { beginning, back: (back, log_end) });
+            BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom: map_from_odom, is_paused };
+        return Ok(InitialSlam { beginning, back: InitialBackEnd { back, log_end, is_paused } });
     }
     let kept = match (session, records.is_empty()) {
         (Some(session), true) => session,
@@ -252,8 +252,9 @@ fn restore_or_create(
         // The first scan says where the front end's frame lies in `odom`; then the pose is set.
         front.set_map_from_local(Some(Pose2::IDENTITY));
     }
-    let beginning = BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom: map_from_odom };
-    Ok(InitialSlam { beginning, back: (back, log_end) })
+    let beginning =
+        BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom: map_from_odom, is_paused };
+    Ok(InitialSlam { beginning, back: InitialBackEnd { back, log_end, is_paused } })
 }
 
 /// Reads what an earlier process of this run saved.

@@ -132,6 +132,20 @@ fn a_killed_slam_process_comes_back_with_its_map() {
     });
     let after = fleet.until("figures", |_| true);
     assert!(after.robots[0].pose_error_m.is_some_and(|error| error < 0.10), "{after:?}");
+    // A pause outlives the process that was told of it.
+    assert_eq!(answer(&dir, "1", &["pause"])["paused"], true);
+    let paused = self::worker(&mut fleet, "slam of robot1");
+    send(paused, Signal::KILL);
+    fleet.until("its return in the pause", |view| {
+        let is_back = view
+            .processes
+            .iter()
+            .any(|p| p.process == "slam of robot1" && p.pid != paused && p.state == "up");
+        is_back && view.robots[0].state == "paused"
+    });
+    assert_eq!(answer(&dir, "1", &["state"])["paused"], true);
+    assert_eq!(answer(&dir, "1", &["resume"])["paused"], false);
+    fleet.until("its going on after the pause", |view| view.robots[0].state == "tracking");
 }
 
 #[test]
@@ -307,7 +321,7 @@ fn invalid_requests_are_refused_with_the_reason() {
     let said = refusal(&dir, "robot1", &["save", "/proc/nowhere/a.slam"]);
     assert!(said.contains("/proc/nowhere"), "{said}");
     assert!(refusal(&dir, "robot1", &["undo", "3"]).contains("closure 3 is not part of the graph"));
-    assert!(refusal(&dir, "robot3", &["state"]).contains("robots 1 to 2"));
+    assert!(refusal(&dir, "robot3", &["state"]).contains("this fleet has robot1 to robot2"));
     // None of it has cost it its map, and it can be paused.
     assert_eq!(answer(&dir, "robot1", &["pause"])["paused"], true);
     let paused = answer(&dir, "robot1", &["state"]);

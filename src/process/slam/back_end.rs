@@ -28,6 +28,16 @@ const RESTART_SIGMA_M: f64 = 0.1;
 /// Standard deviation of the heading then, radians.
 const RESTART_SIGMA_RAD: f64 = 0.05;
 
+/// The back end with which a process begins.
+pub struct InitialBackEnd {
+    /// The back end itself.
+    pub back: BackEnd,
+    /// End of the log with its nodes.
+    pub log_end: LogEnd,
+    /// Whether SLAM is paused.
+    pub is_paused: bool,
+}
+
 /// The back end with its channels. A step handles one event of the scan path and about a millisecond of other work.
 pub struct BackEndWorker<P: Ports> {
     state: WorkerState,
@@ -47,7 +57,7 @@ impl<P: Ports> BackEndWorker<P> {
         ports: &P,
         run: &Run,
         robot: RobotId,
-        (back, log_end): (BackEnd, LogEnd),
+        InitialBackEnd { back, log_end, is_paused }: InitialBackEnd,
         commands: SyncSender<FrontCommand>,
         jobs: SyncSender<SlamFileJob>,
     ) -> Result<Self, ChannelError> {
@@ -56,7 +66,7 @@ impl<P: Ports> BackEndWorker<P> {
         Ok(Self {
             map: MapPublisher::open(ports, robot)?,
             submaps: SubmapPublisher::open(ports, robot, &run.config.slam)?,
-            services: Services::open(ports, run, robot)?,
+            services: Services::open(ports, run, robot, is_paused)?,
             state: WorkerState {
                 back,
                 identity: sessions::identity(run, robot),

@@ -39,6 +39,10 @@ pub enum FileOperation {
         /// One record of the session log, encoded.
         bytes: Vec<u8>,
     },
+    /// Write a small file.
+    Replace(Vec<u8>),
+    /// Remove a file, if it is there.
+    Remove,
     /// Write a map's pictures.
     Draw {
         /// The map to write.
@@ -121,6 +125,14 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
             FileOperation::Append { at, bytes } => {
                 let written = self.storage.append(&path, at, &bytes);
                 written.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
+            }
+            FileOperation::Replace(bytes) => {
+                let written = self.storage.replace(&path, &bytes);
+                written.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
+            }
+            FileOperation::Remove => {
+                let removed = self.storage.remove(&path);
+                removed.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
             }
             FileOperation::Draw { grid, reasons } => self
                 .storage

@@ -106,6 +106,8 @@ pub struct BeginningFrontEnd {
     pub restart_map_from_odom: Option<Pose2>,
     /// The same, whatever the front end knows; `None`: the process is the first one, or nobody knew it.
     pub given_map_from_odom: Option<Pose2>,
+    /// Whether SLAM is paused: it looks at one scan, which tells where the robot is.
+    pub is_paused: bool,
 }
 
 /// The front end, and its queues to and from the back end.
@@ -132,14 +134,14 @@ struct FrontEndRunner {
 
 impl FrontEndRunner {
     fn new(
-        BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom }: BeginningFrontEnd,
+        BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom, is_paused }: BeginningFrontEnd,
         events: SyncSender<BackEndInput>,
         commands: Receiver<FrontCommand>,
     ) -> Self {
         Self {
             front: Box::new(front),
             number: 0,
-            paused: false,
+            paused: is_paused,
             restart_map_from_odom,
             given_map_from_odom,
             trajectory_start: None,
@@ -229,8 +231,10 @@ impl FrontEndRunner {
 
     /// Returns the answer to a scan, if there is one, and whether the scan was valid.
     fn process(&mut self, scan: &Scan) -> (Option<PoseEstimate>, bool) {
-        if self.paused {
-            self.last = self.last.map(|last| self.paused_estimate(last, scan));
+        if self.paused
+            && let Some(last) = self.last
+        {
+            self.last = Some(self.paused_estimate(last, scan));
             return (self.last, true);
         }
         if self.waits_for_odometry(scan) {

@@ -3,6 +3,7 @@
 use super::FrontCommand;
 use super::back_end::WorkerState;
 use super::files::{FileJobOutcome, FileOperation};
+use super::pausing;
 use super::refused::RequestRefused;
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
@@ -36,7 +37,7 @@ pub enum PendingRequest {
 }
 
 /// Outcome of a request that was accepted.
-enum RequestOutcome {
+pub(super) enum RequestOutcome {
     /// It was done; the text is for people.
     Done(String),
     /// It will be answered later.
@@ -44,7 +45,7 @@ enum RequestOutcome {
 }
 
 /// Outcome of a request, or the reason why it is refused.
-type RequestResult = Result<RequestOutcome, RequestRefused>;
+pub(super) type RequestResult = Result<RequestOutcome, RequestRefused>;
 
 fn done(text: &str) -> RequestResult {
     Ok(RequestOutcome::Done(text.to_owned()))
@@ -55,18 +56,21 @@ pub struct Services<P: Ports> {
     dir: PathBuf,
     requests: P::Reader<SlamRequest>,
     responses: P::Writer<SlamResponse>,
-    paused: bool,
+    pub(super) paused: bool,
+    /// The file that says that SLAM is paused.
+    pub(super) pause_marker: PathBuf,
     loading: bool,
 }
 
 impl<P: Ports> Services<P> {
-    /// Opens the channels of a robot.
-    pub fn open(ports: &P, run: &Run, robot: RobotId) -> Result<Self, ChannelError> {
+    /// Opens the channels of a robot, whose SLAM may be paused.
+    pub fn open(ports: &P, run: &Run, robot: RobotId, paused: bool) -> Result<Self, ChannelError> {
         Ok(Self {
             dir: run.dir.clone(),
             requests: ports.reader(&channel::slam_request(robot))?,
             responses: ports.writer(&channel::slam_response(robot))?,
-            paused: false,
+            paused,
+            pause_marker: pausing::marker(run, robot),
             loading: false,
         })
     }
@@ -88,11 +92,8 @@ impl<P: Ports> Services<P> {
             SlamRequestKind::from_code(request.kind).ok_or(RequestRefused::UnknownRequest(request.kind))?;
         match ask {
             SlamRequestKind::State => done(""),
-            SlamRequestKind::Pause | SlamRequestKind::Resume => {
-                self.paused = ask == SlamRequestKind::Pause;
-                state.commands.send(FrontCommand::Pause(self.paused));
-                done(if self.paused { "new scans are not looked at" } else { "scans are looked at again" })
-            }
+            SlamRequestKind::Pause => self.pause(true, request, state),
+            SlamRequestKind::Resume => self.pause(false, request, state),
             SlamRequestKind::Reset => self.reset(state),
             SlamRequestKind::SaveMap => self.save_map(request, state),
             SlamRequestKind::SaveSession => {
@@ -221,6 +222,9 @@ impl<P: Ports> Services<P> {
         let FileJobOutcome { request: Some(request), path, result, .. } = outcome else { return };
         let loads = request.kind == SlamRequestKind::LoadSession as u32;
         self.loading &= !loads;
+        if let Some(answer) = pausing::answer(&request, result.as_ref().map(|_| ())) {
+            return self.respond(&request, Ok(answer), state);
+        }
         let outcome = result.map(|loaded| {
             let text = match &loaded {
                 Some(loaded) => {
@@ -297,7 +301,7 @@ fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, Re
     Ok(path)
 }
 
-fn submit_file_job(
+pub(super) fn submit_file_job(
     state: &WorkerState,
     request: &SlamRequest,
     path: PathBuf,
