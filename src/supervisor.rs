@@ -296,7 +296,7 @@ impl Supervisor {
             }
             let _ = child.kill();
             let has_failed = !matches!(child.wait().map(|status| status.code()), Ok(None | Some(0)));
-            let unsaved = unsaved.filter(|_| member.row.role == Role::Record && has_failed);
+            let unsaved = unsaved.filter(|_| has_failed);
             lost.extend(unsaved.map(|unsaved| format!("the {name} failed: {unsaved}")));
         }
         self.run.domain.remove();

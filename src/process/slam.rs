@@ -150,9 +150,10 @@ pub fn run(run: &Run, robot: RobotId, map_from_odom: Option<Pose2>, stop: &Stop)
     let InitialSlam { beginning, back } = initial;
     let mut front_end_loop = FrontEndLoop::open(&scan_ports, run, robot, beginning, events, commands_in)?;
     std::thread::scope(|scope| {
-        scope.spawn(move || {
+        let files = scope.spawn(move || {
             time_slice::request_default();
             jobs.into_iter().for_each(|job| files.run(job));
+            files.unsaved().map(str::to_owned)
         });
         // Shared memory's ports stay on the thread that made them.
         let back_end = scope.spawn(move || -> Result<(), ChannelError> {
@@ -167,7 +168,11 @@ pub fn run(run: &Run, robot: RobotId, map_from_odom: Option<Pose2>, stop: &Stop)
         let progress = run.progress(Role::Slam, Some(robot), WatchedThread::Main);
         serve(&mut front_end_loop, progress, &|| stop.requested() || back_end.is_finished());
         front_end_loop.end();
-        back_end.join().map_err(|_| "the back-end thread panicked")?.map_err(Error::from)
+        back_end.join().map_err(|_| "the back-end thread panicked")?.map_err(Error::from)?;
+        match files.join().map_err(|_| "the thread of the files panicked")? {
+            Some(why) => Err(format!("its last map is not saved: {why}").into()),
+            None => Ok(()),
+        }
     })
 }
 

@@ -45,7 +45,10 @@ fn an_edge_is_pinned_unpinned_and_undone_while_the_fleet_runs() {
     assert!(!refused.status.success());
     assert!(String::from_utf8_lossy(&refused.stderr).contains("refused"), "{refused:?}");
     let stranger = edges(&run_dir, &["pin", "1", "3"]);
-    assert!(String::from_utf8_lossy(&stranger.stderr).contains("this fleet has robot1 to robot2"), "{stranger:?}");
+    assert!(
+        String::from_utf8_lossy(&stranger.stderr).contains("this fleet has robot1 to robot2"),
+        "{stranger:?}"
+    );
     assert_eq!(state(&[]), "undone");
     assert_eq!(state(&["pin", "1", "2"]), "pinned");
 }

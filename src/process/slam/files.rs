@@ -82,12 +82,19 @@ pub struct SlamFileWorker<C, S> {
     storage: S,
     clock: C,
     outcomes: SyncSender<BackEndInput>,
+    /// Why the newest session, or a record after it, is not in its file.
+    unsaved: Option<String>,
 }
 
 impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
     /// Creates a worker whose outcomes go to the back-end thread.
     pub fn new(config: SlamConfig, storage: S, clock: C, outcomes: SyncSender<BackEndInput>) -> Self {
-        Self { config, storage, clock, outcomes }
+        Self { config, storage, clock, outcomes, unsaved: None }
+    }
+
+    /// Returns why what was to be saved last is not in its file, if it is not.
+    pub fn unsaved(&self) -> Option<&str> {
+        self.unsaved.as_deref()
     }
 
     /// Does one job; waits while the back-end thread has no room for the outcome.
@@ -144,6 +151,14 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
                 self.load(&path, &identity, mode, &request).map(|loaded| Some(Box::new(loaded)))
             }
         };
+        match &result {
+            // What a request saves elsewhere has its own answer.
+            _ if request.is_some() => {}
+            Err(why) => self.unsaved = Some(why.to_string()),
+            // A record alone does not make up for a session before it.
+            Ok(_) if appended_at.is_none() => self.unsaved = None,
+            Ok(_) => {}
+        }
         let took = Duration::from_nanos(self.clock.now().since(begun));
         FileJobOutcome { request, path, result, took, appended_at }
     }
