@@ -189,15 +189,21 @@ fn receive(
     epoch: Instant,
     done: &AtomicBool,
 ) -> LinkStatistics {
+    let mut outage = Outage::begin();
     while !done.load(Ordering::Relaxed) {
+        outage.tell(received);
         client.poll(Instant::now() + RECEIVE_WAIT_MAX, &mut |event| match event {
             Event::Message { topic, payload, received: at } => {
                 // The statistics count what cannot be decoded.
                 let Ok(content) = statistics.record(topic, payload, at) else { return };
                 let _ = lock(received).world.store(stamp_at(epoch, at), topic, payload, content);
             }
-            Event::Connected => statistics.on_connected(),
+            Event::Connected => {
+                statistics.on_connected();
+                outage.end();
+            }
             Event::Disconnected(why) => {
+                outage.since.get_or_insert_with(Instant::now);
                 let mut received = lock(received);
                 received.world.on_disconnected();
                 received.last_error = Some(why);
@@ -207,6 +213,38 @@ fn receive(
         });
     }
     statistics
+}
+
+/// Time without a connection after which it is told.
+const OUTAGE_TOLD: Duration = Duration::from_secs(3);
+
+/// The time since when there is no connection to the bridge.
+struct Outage {
+    since: Option<Instant>,
+    is_told: bool,
+}
+
+impl Outage {
+    /// Begins before the first connection.
+    fn begin() -> Self {
+        Self { since: Some(Instant::now()), is_told: false }
+    }
+
+    /// Says once why there is no connection, when it lasts.
+    fn tell(&mut self, received: &SharedReceived) {
+        let lasts = self.since.is_some_and(|since| since.elapsed() > OUTAGE_TOLD);
+        if lasts && !std::mem::replace(&mut self.is_told, lasts) {
+            let why = lock(received).last_error.clone().unwrap_or_else(|| "no answer".into());
+            tracing::warn!("no connection to the bridge: {why}; it is tried again, Ctrl-C ends");
+        }
+    }
+
+    fn end(&mut self) {
+        if std::mem::take(&mut self.is_told) {
+            tracing::warn!("connected to the bridge");
+        }
+        self.since = None;
+    }
 }
 
 impl Received {
