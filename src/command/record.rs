@@ -9,6 +9,9 @@ use crate::stop::Stop;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+/// Recordings of one second that get names of their own.
+const NAMES_TRIED_MAX: u32 = 100;
+
 /// Record a running fleet as MCAP with ROS 2 messages; the numbers of messages go to a .json beside it
 #[derive(Clone, Debug, clap::Args)]
 pub struct RecordArgs {
@@ -34,12 +37,20 @@ pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
     let mut run = args.run.open()?;
     run.config.recording.split_mb = args.split_mb.unwrap_or(run.config.recording.split_mb);
     run.config.recording.validate()?;
-    let path = args.out.clone().unwrap_or_else(|| {
-        let name = format!("{}.mcap", super::up::folder_name_now());
-        run.dir.join(record::FOLDER).join(name)
-    });
+    let path = match &args.out {
+        Some(path) if !is_named_as_recording(path) => {
+            return Err(format!(
+                "{}: expected a name that ends in .mcap, which `mr-slam replay` reads",
+                path.display()
+            )
+            .into());
+        }
+        Some(path) => path.clone(),
+        None => free_path(&run.dir.join(record::FOLDER)),
+    };
     if let Some(folder) = path.parent().filter(|folder| *folder != Path::new("")) {
-        std::fs::create_dir_all(folder)?;
+        std::fs::create_dir_all(folder)
+            .map_err(|why| format!("cannot make the folder {}: {why}", folder.display()))?;
     }
     let files = new_files(&path, &run.config.recording)?;
     let summary_path = path.with_extension("json");
@@ -65,6 +76,19 @@ pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
         Some(why) => Err(why.into()),
         None => Ok(()),
     }
+}
+
+fn is_named_as_recording(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
+}
+
+/// Returns a path named by the time in a folder, of which there is neither a recording nor its numbers yet.
+fn free_path(folder: &Path) -> PathBuf {
+    let now = super::up::folder_name_now();
+    let named = |suffix: String| folder.join(format!("{now}{suffix}.mcap"));
+    let is_free = |path: &PathBuf| !path.exists() && !path.with_extension("json").exists();
+    let others = (2..NAMES_TRIED_MAX).map(|number| named(format!("-{number}")));
+    std::iter::once(named(String::new())).chain(others).find(is_free).unwrap_or_else(|| named(String::new()))
 }
 
 impl Summary {
