@@ -206,7 +206,7 @@ impl FleetView {
 fn robot_row(robot: &super::RobotView) -> Vec<Cell> {
     vec![
         robot.robot.as_str().into(),
-        Cell::alarm_if(robot.is_lost() || robot.is_unreliable(), robot.state),
+        Cell::alarm_if(robot.is_lost() || robot.is_unreliable() || robot.has_stale_scans(), robot.state),
         Cell::alarm_if(robot.has_stale_scans(), format!("{:.2}", robot.scan_hz_last_second)),
         robot.scans_lost.to_string().into(),
         format!("{:.1}", 100.0 * robot.map.coverage).into(),
@@ -313,7 +313,7 @@ mod tests {
         let named = fleet().with_names(&names);
         let text = named.table(&Style::PLAIN);
         assert!(text.contains("robots   robot1 is alice\n"), "{text}");
-        assert!(!fleet().table(&Style::PLAIN).contains("robots "));
+        assert!(!fleet().table(&Style::PLAIN).contains("robots   robot"));
         let json = serde_json::to_value(&named.robots).unwrap();
         assert_eq!((&json[0]["name"], &json[1]["name"]), (&"alice".into(), &serde_json::Value::Null));
     }
