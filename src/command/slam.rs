@@ -139,6 +139,9 @@ pub enum SlamCommandError {
     /// The path is too long for a message, or not UTF-8.
     #[error("{0}: expected a path in UTF-8 of at most {max} bytes", max = msg::TEXT_MAX)]
     Path(String),
+    /// The path names a folder.
+    #[error("{0} names a folder; expected a file")]
+    Folder(String),
     /// Shared memory of the run.
     #[error(transparent)]
     Channel(#[from] ChannelError),
@@ -321,6 +324,9 @@ impl SlamAction {
 
 /// Converts a path for SLAM, which may run in another folder.
 fn text(file: &Path) -> Result<Text, SlamCommandError> {
+    if file.file_name().is_none() || file.as_os_str().as_encoded_bytes().ends_with(b"/") {
+        return Err(SlamCommandError::Folder(file.display().to_string()));
+    }
     let whole = std::path::absolute(file).unwrap_or(file.to_owned());
     let text = whole.to_str().and_then(Text::new);
     text.ok_or_else(|| SlamCommandError::Path(whole.display().to_string()))
@@ -348,4 +354,17 @@ pub fn run(args: &SlamArgs) -> Result<(), SlamCommandError> {
     }
     let view = SlamView::new(&run.dir, robot, &response, closures.as_deref());
     Ok(output::print_either(args.json, &view, || args.action.text(&view))?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_is_no_name_of_a_file() {
+        for folder in [".", "..", "/", "maps/", ""] {
+            assert!(matches!(text(Path::new(folder)), Err(SlamCommandError::Folder(_))), "{folder}");
+        }
+        assert!(text(Path::new("maps/monday")).unwrap().as_str().ends_with("/maps/monday"));
+    }
 }
