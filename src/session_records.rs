@@ -3,7 +3,6 @@
 //! A restarted SLAM process goes on with them, and a later fleet that begins with the folder has them, too: a fleet that was killed,
 //! or whose disk was full at its end, has saved them in the log alone.
 
-use crate::sessions;
 use crate::storage::Storage;
 use ::slam::session::log::{LogContents, LogPosition, LogRecord, continuation};
 use ::slam::{InitialPose, Session, SessionIdentity, SlamConfig};
@@ -102,9 +101,4 @@ pub fn with_records(storage: &impl Storage, path: &Path, session: Session, confi
     let (_, mut back) = ::slam::create_or_resume(config, Some(session), mode, InitialPose::Continue);
     let front = back.replay(records.chain);
     back.session(identity, front, &[])
-}
-
-/// Returns the two log files of a robot in a run's own folder.
-pub fn files_of_run(run: &crate::run::Run, robot: msg::RobotId) -> [PathBuf; 2] {
-    files(&sessions::file(&sessions::folder(run), robot))
 }

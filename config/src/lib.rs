@@ -7,6 +7,7 @@ mod error;
 mod link;
 mod recording;
 pub mod resources;
+pub mod robots;
 mod sessions;
 
 pub use error::{ConfigError, ValueError};

@@ -13,6 +13,7 @@
 //! `slam::Session`: it is made of that crate's private types.
 
 pub mod atomic;
+pub mod bag_folder;
 pub mod carmen;
 pub mod gzip;
 pub mod limited;

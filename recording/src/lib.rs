@@ -29,9 +29,11 @@ pub mod fleet;
 pub mod playback;
 mod pose_at;
 mod reader;
+mod scan_gaps;
 mod writer;
 
 pub use reader::{ReadError, RecordedMessage, RecordingReader};
+pub use scan_gaps::ScanGaps;
 pub use writer::{Durability, RecordingWriter, TopicCount, TopicIndex, WriteError};
 
 /// Name of the metadata record that says what a recording is of.

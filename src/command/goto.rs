@@ -192,10 +192,9 @@ fn exchange(
         }
     };
     commands.send(&NavigationCommand { sender: CommandSource::LAPTOP, ..command });
-    let (what, mut shown) =
-        (if args.cancel { "its goal is cancelled" } else { "it has arrived" }, String::new());
+    let what = if args.cancel { "its goal is cancelled" } else { "it has arrived" };
     let mut waiting = Waiting::new(Instant::now(), format!("{}: whether {what} is not known", robot));
-    let mut first = FirstStates::new();
+    let (mut first, mut shown) = (FirstStates::new(), String::new());
     loop {
         // A navigator that starts again needs the command once more.
         commands.refresh();

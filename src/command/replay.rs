@@ -13,7 +13,6 @@ mod player;
 mod player_services;
 mod recorded_fleet;
 mod records;
-mod scan_gaps;
 mod serve;
 mod starts;
 mod summary;

@@ -2,6 +2,7 @@
 
 use crate::config::ConfigError;
 use crate::session_file::SessionFileError;
+use formats::bag_folder::BagFilesError;
 use formats::map_file::MapFileError;
 use std::path::PathBuf;
 
@@ -68,27 +69,9 @@ pub enum ReplayError {
         /// Number of scans far from all odometry.
         without_odometry: u64,
     },
-    /// A folder is no bag.
-    #[error(
-        "{path} is a folder; expected a rosbag2 bag with its metadata.yaml (`ros2 bag reindex` writes it), or names of .mcap files: {source}"
-    )]
-    BagFolder {
-        /// Path of the folder.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
-    /// A bag of a kind that is not read.
-    #[error(
-        "{path} is {what}, which is not supported; expected MCAP, uncompressed or with compressed chunks: convert it with \
-         `ros2 bag convert` to storage_id mcap without compression_mode, or with `rosbags-convert`"
-    )]
-    BagFormat {
-        /// Path of the file or folder.
-        path: PathBuf,
-        /// What it is.
-        what: String,
-    },
+    /// A folder or a file is no bag that is read.
+    #[error(transparent)]
+    BagFiles(#[from] BagFilesError),
     /// Several recordings are not parts of one.
     #[error(
         "the scans of {second} begin {pause_s:.1} s after the last of {first}: expected the parts of one bag, without longer pauses and \

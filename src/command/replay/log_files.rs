@@ -2,6 +2,7 @@
 
 use super::ReplayError;
 use crate::command::output;
+use formats::bag_folder::{files_of, unlisted};
 use msg::{Scan, Stamp};
 use recording::RecordingReader;
 use recording::bag::{Bag, BagOptions, BagReader};
@@ -9,58 +10,10 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-/// Largest metadata.yaml of a rosbag2 folder, bytes.
-const METADATA_BYTES_MAX: u64 = 4 << 20;
-/// Most files of a bag.
-const FILES_MAX: usize = 10_000;
 /// Longest pause between the scans of two parts of a bag, seconds: a recorder that was started again.
 const PAUSE_MAX_S: f64 = 10.0;
 /// Longest time that the scans of two parts of a bag overlap, seconds: messages are not written in the order of their times.
 const OVERLAP_MAX_S: f64 = 1.0;
-
-/// Returns the files of a log in order: those that metadata.yaml of a folder lists, or the file itself.
-pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, ReplayError> {
-    if !path.is_dir() {
-        return Ok(vec![path.to_owned()]);
-    }
-    let metadata = path.join("metadata.yaml");
-    let text = formats::limited::read_text(&metadata, METADATA_BYTES_MAX)
-        .map_err(|source| ReplayError::BagFolder { path: path.to_owned(), source })?;
-    let unsupported = |what: String| ReplayError::BagFormat { path: path.to_owned(), what };
-    let value = |key: &str| text.lines().find_map(|line| Some(unquoted(line.trim().strip_prefix(key)?)));
-    if let Some(storage) = value("storage_identifier:").filter(|storage| *storage != "mcap") {
-        return Err(unsupported(format!("a rosbag2 bag with the storage `{storage}`")));
-    }
-    if let Some(mode) =
-        value("compression_mode:").filter(|mode| !["", "none"].contains(&&*mode.to_lowercase()))
-    {
-        return Err(unsupported(format!("a rosbag2 bag with the compression_mode {mode}")));
-    }
-    let listed = text.lines().skip_while(|line| line.trim() != "relative_file_paths:").skip(1);
-    let names = listed.map_while(|line| line.trim().strip_prefix("- ")).map(unquoted);
-    // Older bags have the folder's name before the file's; nothing outside the folder is read.
-    let files: Vec<PathBuf> =
-        names.filter_map(|name| Some(path.join(Path::new(name).file_name()?))).take(FILES_MAX).collect();
-    if files.is_empty() {
-        return Err(unsupported("a folder whose metadata.yaml lists no relative_file_paths".into()));
-    }
-    Ok(files)
-}
-
-/// Returns the names of recordings in a bag's folder that its metadata.yaml does not list: they are not read.
-pub fn unlisted(folder: &Path, listed: &[PathBuf]) -> Vec<String> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().take(FILES_MAX).flatten();
-    let files = entries.map(|entry| entry.path());
-    let is_unlisted = |file: &PathBuf| {
-        let has_other_name = listed.iter().all(|known| known.file_name() != file.file_name());
-        file.extension().is_some_and(|extension| extension == "mcap") && has_other_name
-    };
-    let names =
-        files.filter(is_unlisted).filter_map(|file| Some(file.file_name()?.to_string_lossy().into_owned()));
-    let mut names: Vec<String> = names.collect();
-    names.sort();
-    names
-}
 
 /// Says which files of a bag's folder are not read.
 pub fn note_unlisted(folder: &Path, listed: &[PathBuf]) {
@@ -71,24 +24,6 @@ pub fn note_unlisted(folder: &Path, listed: &[PathBuf]) {
             folder.display(),
             names.join(", "),
         ));
-    }
-}
-
-fn unquoted(text: &str) -> &str {
-    text.trim().trim_matches(['"', '\''])
-}
-
-/// Refuses what is no CARMEN log, by its first bytes.
-pub fn refuse_other_formats(path: &Path, bytes: &[u8]) -> Result<(), ReplayError> {
-    let formats: [(&[u8], &str); 4] = [
-        (b"SQLite format 3\0", "a rosbag2 bag with the storage `sqlite3`"),
-        (b"\x28\xb5\x2f\xfd", "a file that is compressed with zstd (unpack it with `zstd -d`)"),
-        (b"#ROSBAG V2.0", "a bag of ROS 1"),
-        (b"\x89MCAP0\r\n", "an MCAP file whose name does not end in .mcap (rename it)"),
-    ];
-    match formats.iter().find(|(magic, _)| bytes.starts_with(magic)) {
-        Some((_, what)) => Err(ReplayError::BagFormat { path: path.to_owned(), what: (*what).to_owned() }),
-        None => Ok(()),
     }
 }
 
@@ -125,63 +60,4 @@ pub fn read_bag(paths: &[PathBuf], options: &BagOptions) -> Result<Bag, ReplayEr
         }
     }
     bag.finish(options).map_err(|why| ReplayError::Bag { path: paths[0].clone(), why })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn folder_with(metadata: &str) -> tempfile::TempDir {
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("metadata.yaml"), metadata).unwrap();
-        folder
-    }
-
-    #[test]
-    fn the_files_of_a_folder_are_those_that_its_metadata_lists_in_order() {
-        let folder = folder_with(
-            "rosbag2_bagfile_information:\n  compression_mode: ''\n  relative_file_paths:\n  - \"b_1.mcap\"\n  - bag/../../a_0.mcap\n  \
-             ros_distro: jazzy\n  storage_identifier: mcap\n",
-        );
-        let names = ["b_1.mcap", "a_0.mcap"].map(|name| folder.path().join(name));
-        assert_eq!(files_of(folder.path()).unwrap(), names);
-        assert_eq!(files_of(Path::new("one.mcap")).unwrap(), [Path::new("one.mcap")]);
-    }
-
-    #[test]
-    fn recordings_that_the_metadata_does_not_list_are_named() {
-        let folder = folder_with("  relative_file_paths:\n  - a_0.mcap\n  storage_identifier: mcap\n");
-        for name in ["a_0.mcap", "a_1.mcap", "notes.txt"] {
-            std::fs::write(folder.path().join(name), "").unwrap();
-        }
-        let listed = files_of(folder.path()).unwrap();
-        assert_eq!(unlisted(folder.path(), &listed), ["a_1.mcap"]);
-    }
-
-    #[test]
-    fn folders_and_files_of_other_formats_say_what_they_are_and_what_to_do() {
-        let other = |metadata: &str| files_of(folder_with(metadata).path()).unwrap_err().to_string();
-        for (metadata, word) in [
-            ("storage_identifier: sqlite3\n", "sqlite3"),
-            ("compression_mode: MESSAGE\nstorage_identifier: mcap\n", "MESSAGE"),
-            ("compression_mode: FILE\n", "FILE"),
-            ("storage_identifier: mcap\n", "relative_file_paths"),
-        ] {
-            let text = other(metadata);
-            assert!(text.contains(word) && text.contains("ros2 bag convert"), "{text}");
-        }
-        let empty = tempfile::tempdir().unwrap();
-        let text = files_of(empty.path()).unwrap_err().to_string();
-        assert!(text.contains("metadata.yaml"), "{text}");
-        for (bytes, word) in [
-            (&b"SQLite format 3\0..."[..], "sqlite3"),
-            (b"\x28\xb5\x2f\xfd....", "zstd -d"),
-            (b"#ROSBAG V2.0\n", "ROS 1"),
-            (b"\x89MCAP0\r\n", "rename"),
-        ] {
-            let text = refuse_other_formats(Path::new("x"), bytes).unwrap_err().to_string();
-            assert!(text.contains(word), "{text}");
-        }
-        assert!(refuse_other_formats(Path::new("x"), b"FLASER 3 1 2 3").is_ok());
-    }
 }

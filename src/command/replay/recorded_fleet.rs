@@ -1,6 +1,5 @@
 //! Replay of a fleet's own recording: the robots send what they sent, and SLAM, merging and figures run in lockstep.
 
-use super::scan_gaps::ScanGaps;
 use super::{ReplayArgs, ReplayError, log_files, player, serve};
 use crate::command::output;
 use crate::config::FleetConfig;
@@ -8,10 +7,11 @@ use crate::lockstep::Lockstep;
 use crate::process::record::description::{CONFIGURATION, EPOCH};
 use crate::process::record::{PLANAR_ODOMETRY, map_hash};
 use crate::stop::Stop;
+use formats::bag_folder::files_of;
 use formats::map_file;
 use msg::Scan;
 use recording::fleet::{FleetRecording, SensorMessage};
-use recording::{METADATA, RecordingReader};
+use recording::{METADATA, RecordingReader, ScanGaps};
 use reports::{FleetView, Style};
 use ros_messages::RobotNames;
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ use std::time::Instant;
 
 /// Returns the configuration of the fleet whose recording this is; `None` if it is one from elsewhere.
 pub fn configuration(path: &Path) -> Result<Option<FleetConfig>, ReplayError> {
-    let mut reader = open(&log_files::files_of(path)?[0])?;
+    let mut reader = open(&files_of(path)?[0])?;
     reader.next_message().map_err(|why| bag_error(path, why))?;
     let Some(text) = reader.metadata(METADATA).and_then(|metadata| metadata.get(CONFIGURATION)) else {
         return Ok(None);
@@ -142,7 +142,7 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Miss
     let mut first: Option<[Option<String>; 2]> = None;
     let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
     let mut recording = FleetRecording::new(&config.robot_names(), PLANAR_ODOMETRY, scan);
-    let files = paths.iter().map(|path| log_files::files_of(path)).collect::<Result<Vec<_>, _>>()?;
+    let files = paths.iter().map(|path| files_of(path)).collect::<Result<Vec<_>, _>>()?;
     paths.iter().zip(&files).for_each(|(path, files)| log_files::note_unlisted(path, files));
     let files = files.concat();
     for path in &files {

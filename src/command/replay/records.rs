@@ -1,11 +1,12 @@
 //! Scans of a log: a CARMEN log, or a recording in MCAP.
 
-use super::scan_gaps::ScanGaps;
 use super::{ReplayArgs, ReplayError, log_files, recorded_fleet};
 use crate::command::output;
+use formats::bag_folder::refuse_other_formats;
 use formats::carmen::{LaserLine, Reader, Record};
 use formats::gzip;
 use msg::{Pose2, Scan, Stamp};
+use recording::ScanGaps;
 use recording::bag::{Bag, BagOptions, BagScan, LeftOut};
 use std::path::{Path, PathBuf};
 
@@ -105,7 +106,7 @@ impl Log {
         if !is_recording(path) {
             let fail = |source| ReplayError::Read { path: path.clone(), source };
             let bytes = formats::limited::read(path, LOG_MAX).map_err(fail)?;
-            log_files::refuse_other_formats(path, &bytes)?;
+            refuse_other_formats(path, &bytes)?;
             return gzip::unpack(bytes, LOG_MAX).map(Self::Carmen).map_err(fail);
         }
         Self::of_topic(paths, args, args.bag.scan_topic.as_deref())

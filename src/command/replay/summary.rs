@@ -1,8 +1,8 @@
 //! Summary of a replay, for people and for programs.
 
 use super::records::Log;
-use super::scan_gaps::ScanGaps;
 use msg::{Pose2, Stamp};
+use recording::ScanGaps;
 use recording::bag::LeftOut;
 use serde::Serialize;
 use slam::{
@@ -130,13 +130,7 @@ impl Summary {
                 s.unplaced_nodes, s.unplaced_components
             );
         }
-        for reason in &s.unreliable_reasons {
-            text += &format!("  unreliable {reason}: the map may be wrong by metres\n");
-        }
-        let agreement = &s.evidence.odometry_agreement;
-        if agreement.reasons().next().is_some() || has_other_scale(agreement) {
-            text += &agreement_text(&s.evidence.odometry_agreement);
-        }
+        text += &s.doubts();
         if let (Some(width), Some(height), Some(ms)) = (s.map_width, s.map_height, s.map_ms) {
             text += &format!("  map       {width} x {height} cells, rendered in {ms:.1} ms\n");
         }
@@ -147,6 +141,20 @@ impl Summary {
             if let Some(Percentiles { p50, p99, max }) = times {
                 text += &format!("  {name} p50 {p50:.2}, p99 {p99:.2}, max {max:.2} ms\n");
             }
+        }
+        text
+    }
+
+    /// Says why the map may be wrong, if there is a reason.
+    fn doubts(&self) -> String {
+        let s = self;
+        let mut text = String::new();
+        for reason in &s.unreliable_reasons {
+            text += &format!("  unreliable {reason}: the map may be wrong by metres\n");
+        }
+        let agreement = &s.evidence.odometry_agreement;
+        if agreement.reasons().next().is_some() || has_other_scale(agreement) {
+            text += &agreement_text(&s.evidence.odometry_agreement);
         }
         text
     }

@@ -58,7 +58,7 @@ impl SessionLog {
     pub fn new(run: &Run, robot: RobotId, to: LogEnd) -> Self {
         Self {
             waiting: LogRecordBuilder::default(),
-            files: session_records::files_of_run(run, robot),
+            files: files(run, robot),
             to,
             other_is_needed: to.has_records,
             waits_since: None,
@@ -180,6 +180,11 @@ impl SessionLog {
     }
 }
 
+/// Returns the two log files of a robot in the run's folder.
+fn files(run: &Run, robot: RobotId) -> [PathBuf; 2] {
+    session_records::files(&sessions::file(&sessions::folder(run), robot))
+}
+
 /// Reads the records that follow a session at `newest`, and where the next record goes.
 pub(super) fn read(
     storage: &impl Storage,
@@ -187,7 +192,7 @@ pub(super) fn read(
     robot: RobotId,
     newest: LogPosition,
 ) -> (Vec<LogRecord>, LogEnd) {
-    let files = session_records::files_of_run(run, robot);
+    let files = files(run, robot);
     let Records { chain, end } =
         session_records::read(storage, &files, &sessions::identity(run, robot), newest);
     let to = match (chain.last(), end) {
