@@ -145,7 +145,8 @@ impl BagReader {
             }
             self.found.add(&message, scan);
         }
-        self.damage = self.damage.take().or_else(|| reader.damage());
+        let damages: Vec<String> = self.damage.take().into_iter().chain(reader.damage()).collect();
+        self.damage = (!damages.is_empty()).then(|| damages.join("; "));
         Ok(ends)
     }
 

@@ -76,6 +76,8 @@ pub struct RecordingReader<R> {
     /// Messages of the newest chunk.
     waiting: VecDeque<RecordedMessage>,
     damaged: DamagedChunks,
+    /// Messages of topics that no readable part of the file names.
+    of_unknown_topics: u64,
     /// Beginning of the first chunk, nanoseconds.
     begin: Option<u64>,
     records: u64,
@@ -103,6 +105,7 @@ impl<R: Read> RecordingReader<R> {
             tables: Tables::default(),
             waiting: VecDeque::new(),
             damaged: DamagedChunks::default(),
+            of_unknown_topics: 0,
             begin: None,
             records: 0,
             is_over: false,
@@ -158,6 +161,12 @@ impl<R: Read> RecordingReader<R> {
         if *count > named.len() {
             damages.push(format!("so are {} more parts", count - named.len()));
         }
+        if self.of_unknown_topics > 0 {
+            damages.push(format!(
+                "{} messages are left out, whose topics no part that can be read names",
+                self.of_unknown_topics
+            ));
+        }
         damages.extend(self.end.as_ref().map(|why| format!("{why}; used up to there")));
         (!damages.is_empty()).then(|| damages.join("; "))
     }
@@ -180,40 +189,55 @@ impl<R: Read> RecordingReader<R> {
             record => return Ok(self.tables.take(record).map_or(Step::Other, Step::Message)),
         };
         self.begin.get_or_insert(header.message_start_time);
-        match records_of_chunk(data) {
-            Ok(records) => {
-                self.waiting.extend(records.into_iter().filter_map(|record| self.tables.take(record)));
+        let (records, damage) = records_of_chunk(data, true);
+        let Some(why) = damage else {
+            for record in records {
+                match record {
+                    Record::Message { ref header, .. }
+                        if !self.tables.channels.contains_key(&header.channel_id) =>
+                    {
+                        self.of_unknown_topics += 1;
+                    }
+                    record => self.waiting.extend(self.tables.take(record)),
+                }
             }
-            Err(why) => self.damaged.add([header.message_start_time, header.message_end_time], &why),
-        }
+            return Ok(Step::Other);
+        };
+        self.damaged.add([header.message_start_time, header.message_end_time], &why);
+        // Later chunks need the names of topics that are in this one alone.
+        let (records, _) = records_of_chunk(data, false);
+        records.into_iter().for_each(|record| self.tables.take_new_name(record));
         Ok(Step::Other)
     }
 }
 
-/// Returns the records of a chunk, if none of it is damaged: what a wrong checksum covers may be wrong anywhere.
-fn records_of_chunk(chunk: &[u8]) -> Result<Vec<Record<'static>>, McapError> {
+/// Returns the records of a chunk up to what cannot be read, and why that cannot. If it is to be `checked` there are none where its checksum is
+/// wrong: what that covers may be wrong anywhere.
+fn records_of_chunk(chunk: &[u8], checked: bool) -> (Vec<Record<'static>>, Option<McapError>) {
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)
         .with_skip_end_magic(true)
-        .with_prevalidate_chunk_crcs(true)
+        .with_prevalidate_chunk_crcs(checked)
         .with_record_length_limit(RECORD_BYTES_MAX);
     let mut reader = LinearReader::new_with_options(options);
     let input = [&[op::CHUNK], &(chunk.len() as u64).to_le_bytes()[..], chunk].concat();
     let mut rest = &input[..];
     let mut records = Vec::new();
     while let Some(event) = reader.next_event() {
-        match event? {
-            LinearReadEvent::ReadRequest(bytes) => {
+        match event {
+            Ok(LinearReadEvent::ReadRequest(bytes)) => {
                 let next = rest.split_off(..bytes.min(rest.len())).unwrap_or_default();
                 reader.insert(next.len()).copy_from_slice(next);
                 reader.notify_read(next.len());
             }
-            LinearReadEvent::Record { data, opcode } => {
-                records.push(parse_record(opcode, data)?.into_owned())
-            }
+            Ok(LinearReadEvent::Record { data, opcode }) => match parse_record(opcode, data) {
+                Ok(record) => records.push(record.into_owned()),
+                Err(why) => return (records, Some(why)),
+            },
+            Err(why) => return (records, Some(why)),
         }
     }
-    Ok(records)
+    (records, None)
 }
 
 impl DamagedChunks {
@@ -226,6 +250,18 @@ impl DamagedChunks {
 }
 
 impl Tables {
+    /// Takes the name of a topic or a type from a damaged chunk, if none is known under its number: a name from elsewhere counts more.
+    fn take_new_name(&mut self, record: Record<'_>) {
+        let is_new = match &record {
+            Record::Schema { header, .. } => !self.types.contains_key(&header.id),
+            Record::Channel(channel) => !self.channels.contains_key(&channel.id),
+            _ => false,
+        };
+        if is_new {
+            self.take(record);
+        }
+    }
+
     /// Takes a record; returns the message, if it is one of a known topic.
     fn take(&mut self, record: Record<'_>) -> Option<RecordedMessage> {
         match record {

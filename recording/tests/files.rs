@@ -108,6 +108,17 @@ fn a_damaged_chunk_is_left_out_and_those_before_and_behind_it_are_used() {
             "byte {at}: {count}, {damage}"
         );
     }
+    // The first chunk has the topic's name: what follows is used if that can be read, else it is counted.
+    let mut named = 0;
+    for at in (chunks[0].len() / 2..chunks[0].len() * 3 / 4).step_by(11) {
+        let mut damaged = whole.clone();
+        damaged[at] ^= 0x5a;
+        let (count, damage) = read_all(&damaged);
+        let damage = damage.unwrap_or_default();
+        assert!(count == 20 || damage.contains("whose topics"), "byte {at}: {count}, {damage}");
+        named += usize::from(count == 20);
+    }
+    assert!(named > 0);
 }
 
 #[test]

@@ -246,7 +246,7 @@ fn of_persons(report: &ExplorationReport) -> String {
         RobotId::first(ROBOTS_MAX).filter(is_manual).map(|robot| robot.to_string()).collect();
     match robots.as_slice() {
         [] => String::new(),
-        _ => format!("; {}: with what a person has told them, they go on", robots.join(", ")),
+        _ => format!(", but not {}, which a person drives or has sent", robots.join(", ")),
     }
 }
 
