@@ -90,7 +90,10 @@ pub fn refuse_other_formats(path: &Path, bytes: &[u8]) -> Result<(), BagFilesErr
         (b"SQLite format 3\0", "a rosbag2 bag with the storage `sqlite3`"),
         (b"\x28\xb5\x2f\xfd", "a file that is compressed with zstd (unpack it with `zstd -d`)"),
         (b"#ROSBAG V2.0", "a bag of ROS 1"),
-        (b"\x89MCAP0\r\n", "an MCAP file whose name does not end in .mcap (rename it)"),
+        (
+            b"\x89MCAP0\r\n",
+            "an MCAP file whose name does not end in .mcap (unpack it if need be, and rename it)",
+        ),
     ];
     match formats.iter().find(|(magic, _)| bytes.starts_with(magic)) {
         Some((_, what)) => Err(BagFilesError::Format { path: path.to_owned(), what: (*what).to_owned() }),

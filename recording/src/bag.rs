@@ -320,6 +320,7 @@ impl Found {
         poses.ok_or_else(|| BagError::NoOdometry {
             scan_topic: scan_topic.to_owned(),
             topics: self.odometry.keys().cloned().collect(),
+            transforms: frames::changing(transforms),
         })
     }
 }

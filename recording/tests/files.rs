@@ -208,6 +208,16 @@ fn what_is_missing_is_named_with_what_there_is() {
         no_odometry.contains("no odometry for /scan") && no_odometry.contains("--no-odometry"),
         "{no_odometry}"
     );
+    let moving = |at: i64| TfMessage {
+        transforms: vec![transform("odom_combined", "base_link", [at as f64, 0.0, 0.0], at)],
+    };
+    let other_name = file(&[
+        ("/scan", LaserScan::TYPE, 0, payload(&scan(0))),
+        ("/tf", TfMessage::TYPE, 0, payload(&moving(0))),
+        ("/tf", TfMessage::TYPE, 1, payload(&moving(1))),
+    ]);
+    let other_name = read(&other_name, &BagOptions::default()).unwrap_err().to_string();
+    assert!(other_name.contains("odom_combined -> base_link"), "{other_name}");
     let no_scanner = read(&bag(true, false), &BagOptions::default()).unwrap_err().to_string();
     assert!(
         no_scanner.contains("`base_scan` to `base_footprint`") && no_scanner.contains("--scanner"),

@@ -228,6 +228,7 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
         {
             return Ok(report);
         }
+        waiting.silence_to_tell(Instant::now()).iter().for_each(|text| output::note(text));
         waiting.check(run, is_alive, Instant::now())?;
         if stop.requested() {
             return Err(match args.action {

@@ -174,6 +174,18 @@ fn send(run: &Run, args: &GotoArgs, robot: RobotId, stop: &Stop) -> Result<Navig
     outcome
 }
 
+/// Returns the command with this number: the goal, or its cancellation.
+fn command(args: &GotoArgs, robot: RobotId, number: u64) -> NavigationCommand {
+    let command = match args.pose {
+        None => NavigationCommand::new(number, NavigationAction::Cancel),
+        Some(pose) => {
+            let frame = if args.own_map { NavigationFrame::RobotMap } else { NavigationFrame::MergedMap };
+            NavigationCommand::goal(number, (frame, args.own_map.then_some(robot)), &[pose])
+        }
+    };
+    NavigationCommand { sender: CommandSource::LAPTOP, ..command }
+}
+
 /// Sends the command and waits for its outcome.
 fn exchange(
     run: &Run,
@@ -184,14 +196,7 @@ fn exchange(
     commands: &mut Writer<NavigationCommand>,
 ) -> Result<NavigationReport, GotoError> {
     let number = crate::clock::now().0;
-    let command = match args.pose {
-        None => NavigationCommand::new(number, NavigationAction::Cancel),
-        Some(pose) => {
-            let frame = if args.own_map { NavigationFrame::RobotMap } else { NavigationFrame::MergedMap };
-            NavigationCommand::goal(number, (frame, args.own_map.then_some(robot)), &[pose])
-        }
-    };
-    commands.send(&NavigationCommand { sender: CommandSource::LAPTOP, ..command });
+    commands.send(&command(args, robot, number));
     let what = if args.cancel { "its goal is cancelled" } else { "it has arrived" };
     let mut waiting = Waiting::new(Instant::now(), format!("{}: whether {what} is not known", robot));
     let (mut first, mut shown) = (FirstStates::new(), String::new());
@@ -227,10 +232,11 @@ fn exchange(
         {
             return Ok(report);
         }
+        waiting.silence_to_tell(Instant::now()).iter().for_each(|text| output::note(text));
         waiting.check(run, is_alive, Instant::now())?;
         if stop.requested() {
-            let (state, reason) = ("was stopped", cancel(states, commands));
-            return Err(GotoError::NotReached { robot, state, reason: reason.into() });
+            let reason = cancel(states, commands).into();
+            return Err(GotoError::NotReached { robot, state: "was stopped", reason });
         }
         wait([], Monotonic(crate::clock::now().0 + POLL_NS));
     }

@@ -11,6 +11,9 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest silence after an answer: navigation reports once a second, and a hung process is started again within 20 s.
 const SILENCE_MAX: Duration = Duration::from_secs(30);
 
+/// Silence after an answer that is said: navigation reports once a second.
+const SILENCE_TOLD: Duration = Duration::from_secs(3);
+
 /// Reason why a tool waits no longer.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WaitError {
@@ -42,18 +45,31 @@ pub enum WaitError {
 pub(super) struct Waiting {
     heard: Instant,
     has_answer: bool,
+    /// Whether the present silence was said.
+    is_told: bool,
     unknown: String,
 }
 
 impl Waiting {
     /// Begins to wait. `unknown` says what is not known if no end comes: `whether robot1 has arrived is not known`.
     pub(super) fn new(now: Instant, unknown: String) -> Self {
-        Self { heard: now, has_answer: false, unknown }
+        Self { heard: now, has_answer: false, is_told: false, unknown }
     }
 
     /// Notes that navigation has said something that belongs to the command.
     pub(super) fn hear(&mut self, now: Instant) {
-        (self.heard, self.has_answer) = (now, true);
+        (self.heard, self.has_answer, self.is_told) = (now, true, false);
+    }
+
+    /// Returns what to say of a silence, once for each: what was said before may not hold any more.
+    pub(super) fn silence_to_tell(&mut self, now: Instant) -> Option<String> {
+        let is_silent = self.has_answer && now.saturating_duration_since(self.heard) > SILENCE_TOLD;
+        let is_new = is_silent && !std::mem::replace(&mut self.is_told, is_silent);
+        is_new.then(|| {
+            format!(
+                "navigation has said nothing for {SILENCE_TOLD:?}; it is waited for {SILENCE_MAX:?} at most"
+            )
+        })
     }
 
     /// Returns why the tool stops waiting. `is_alive`: whether the launcher was, before the newest messages were read.
@@ -86,7 +102,12 @@ mod tests {
         assert_eq!(waiting.check(&run, true, begun + PATIENCE), Ok(()));
         let late = begun + PATIENCE + Duration::from_millis(1);
         assert!(matches!(waiting.check(&run, true, late), Err(WaitError::Silent { .. })));
+        assert_eq!(waiting.silence_to_tell(late), None, "it has not answered yet");
         waiting.hear(late);
+        assert_eq!(waiting.silence_to_tell(late + SILENCE_TOLD), None);
+        let told = waiting.silence_to_tell(late + SILENCE_TOLD + Duration::from_millis(1));
+        assert!(told.is_some_and(|told| told.contains("nothing for 3s")));
+        assert_eq!(waiting.silence_to_tell(late + SILENCE_MAX), None, "once");
         assert_eq!(waiting.check(&run, true, late + SILENCE_MAX), Ok(()));
         let why = waiting.check(&run, false, late).unwrap_err().to_string();
         assert!(why.contains("ended") && why.contains("not known"), "{why}");

@@ -78,14 +78,17 @@ pub enum BagError {
     /// There is no odometry.
     #[error(
         "the bag has no odometry for {scan_topic}: expected one nav_msgs/Odometry of the same robot, or a transform from one frame \
-         `odom` (--odom-frame) in its namespace; it has odometry on {}; name one with --odom-topic, or use --no-odometry",
-        list(.topics)
+         `odom` (--odom-frame) in its namespace; it has odometry on {}, and transforms that change are {}; name one \
+         with --odom-topic or --odom-frame, or use --no-odometry",
+        list(.topics), list(.transforms)
     )]
     NoOdometry {
         /// Topic of the scans.
         scan_topic: String,
         /// Topics with odometry.
         topics: Vec<String>,
+        /// Transforms that change, as `parent -> child`.
+        transforms: Vec<String>,
     },
     /// The topic that was named has no true poses.
     #[error("the bag has no nav_msgs/Odometry on {wished}; it has it on {}; name one with --truth-topic", list(.topics))]

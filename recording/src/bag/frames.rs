@@ -5,6 +5,9 @@ use super::{BagError, BagOptions, BagScan, frame};
 use msg::Pose2;
 use ros_messages::spatial_pose::{ScannerMount, SpatialPose};
 
+/// Transforms that an error names.
+const NAMED_MAX: usize = 16;
+
 /// Returns the transform from the odometry's frame that leads to the scanner, else the only one.
 pub fn odometry_transform(transforms: &Edges, scan_frame: &str, options: &BagOptions) -> Option<Poses> {
     let is_odom = |name: &str| match &options.odom_frame {
@@ -23,6 +26,16 @@ pub fn odometry_transform(transforms: &Edges, scan_frame: &str, options: &BagOpt
     let mut edges = transforms.iter().filter(|((parent, _), _)| is_odom(parent));
     let ((_, child), edge) = edges.next()?;
     edges.next().is_none().then(|| poses(child, edge))
+}
+
+/// Names the transforms that change, sorted: one of them may be odometry under a name of its own.
+pub fn changing(transforms: &Edges) -> Vec<String> {
+    let changing = transforms.iter().filter(|(_, edge)| edge.changes);
+    let mut names: Vec<String> =
+        changing.map(|((parent, child), _)| format!("{parent} -> {child}")).collect();
+    names.sort();
+    names.truncate(NAMED_MAX);
+    names
 }
 
 fn parent_of<'a>(transforms: &'a Edges, child: &str) -> Option<(&'a (String, String), &'a Edge)> {

@@ -107,7 +107,9 @@ impl Log {
             let fail = |source| ReplayError::Read { path: path.clone(), source };
             let bytes = formats::limited::read(path, LOG_MAX).map_err(fail)?;
             refuse_other_formats(path, &bytes)?;
-            return gzip::unpack(bytes, LOG_MAX).map(Self::Carmen).map_err(fail);
+            let unpacked = gzip::unpack(bytes, LOG_MAX).map_err(fail)?;
+            refuse_other_formats(path, &unpacked)?;
+            return Ok(Self::Carmen(unpacked));
         }
         Self::of_topic(paths, args, args.bag.scan_topic.as_deref())
     }
