@@ -20,7 +20,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use std::io;
 use std::net::TcpListener;
 use std::os::fd::OwnedFd;
-use std::os::unix::process::CommandExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
@@ -289,13 +289,17 @@ impl Supervisor {
             while matches!(child.try_wait(), Ok(None)) && asked.elapsed() < grace {
                 std::thread::sleep(Duration::from_millis(5));
             }
-            if matches!(child.try_wait(), Ok(None)) {
+            let is_killed = matches!(child.try_wait(), Ok(None));
+            if is_killed {
                 let text = format!("the {name} had not ended after {} s and was killed", grace.as_secs());
                 tracing::warn!("{text}");
                 lost.extend(unsaved.map(|unsaved| format!("{text}: {unsaved}")));
             }
             let _ = child.kill();
-            let has_failed = !matches!(child.wait().map(|status| status.code()), Ok(None | Some(0)));
+            // It was asked to end: by that it may end before it can handle it.
+            let is_asked = |status: ExitStatus| status.signal() == Some(Signal::TERM.as_raw());
+            let has_ended_well = child.wait().is_ok_and(|status| status.success() || is_asked(status));
+            let has_failed = !is_killed && !has_ended_well;
             let unsaved = unsaved.filter(|_| has_failed);
             lost.extend(unsaved.map(|unsaved| format!("the {name} failed: {unsaved}")));
         }

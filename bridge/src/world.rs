@@ -262,7 +262,7 @@ impl ExternalWorld {
             return Ok(());
         }
         if !self.is_of_one_publisher(origin, robot, RobotTopic::Odometry)? {
-            self.note_waiting(origin, robot, &parent_from_child, false)?;
+            self.note_waiting(origin, robot, transform.stamp, &parent_from_child, false)?;
             return Ok(());
         }
         let state = &self.robots[robot.index()];

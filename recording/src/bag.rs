@@ -121,13 +121,14 @@ pub struct BagReader {
 }
 
 impl BagReader {
-    /// Reads a file of the bag, whatever their order. Returns when its first and its last scan were recorded; `None` without
+    /// Reads a file of the bag, whatever their order. `name` is the file's, for what is said of its damage. Returns when its first and its last scan were recorded; `None` without
     /// a scan.
     ///
     /// # Errors
     /// The file cannot be read, or is no MCAP.
     pub fn add<R: Read>(
         &mut self,
+        name: &str,
         reader: &mut RecordingReader<R>,
         scan: &mut Scan,
     ) -> Result<Option<(Stamp, Stamp)>, ReadError> {
@@ -145,7 +146,8 @@ impl BagReader {
             }
             self.found.add(&message, scan);
         }
-        let damages: Vec<String> = self.damage.take().into_iter().chain(reader.damage()).collect();
+        let damage = reader.damage().map(|why| format!("{name}: {why}"));
+        let damages: Vec<String> = self.damage.take().into_iter().chain(damage).collect();
         self.damage = (!damages.is_empty()).then(|| damages.join("; "));
         Ok(ends)
     }
@@ -181,7 +183,7 @@ pub fn read_bag<R: Read>(
     scan: &mut Scan,
 ) -> Result<Bag, BagError> {
     let mut bag = BagReader::default();
-    bag.add(reader, scan)?;
+    bag.add("the file", reader, scan)?;
     bag.finish(options)
 }
 

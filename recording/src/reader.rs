@@ -14,6 +14,10 @@ const RECORD_BYTES_MAX: usize = 256 << 20;
 const TOPICS_MAX: usize = 4096;
 /// Bytes that are read from the file at once.
 const READ_BYTES: usize = 64 << 10;
+/// Most messages of a chunk: more are no chunk of a recorder, and would need much more memory than they have bytes.
+const CHUNK_MESSAGES_MAX: usize = 2_000_000;
+/// Bytes before the content of a record: its opcode and length.
+const RECORD_HEAD_BYTES: usize = 9;
 /// Damaged chunks whose times are named; more are counted.
 const DAMAGED_NAMED_MAX: usize = 4;
 /// Longest metadata record that is kept, bytes.
@@ -58,14 +62,22 @@ struct Tables {
     types: HashMap<u16, Rc<str>>,
     channels: HashMap<u16, Channel>,
     metadata: BTreeMap<String, BTreeMap<String, String>>,
+    /// Messages of topics that no readable part of the file names.
+    of_unknown_topics: u64,
 }
 
-/// Chunks that cannot be used.
+/// Parts of a file that cannot be used.
 #[derive(Default)]
-struct DamagedChunks {
-    /// Times of the first ones in the file, nanoseconds, and why each cannot be used.
-    named: Vec<([u64; 2], String)>,
-    count: usize,
+struct Damage {
+    /// Times of the first damaged chunks in the file, nanoseconds, if they can be read, and why each cannot be used.
+    chunks: Vec<(Option<[u64; 2]>, String)>,
+    chunk_count: usize,
+    /// Records outside chunks that cannot be read.
+    records: u64,
+    /// Topics and types whose names were read from damaged chunks.
+    names: u64,
+    /// Why the file ends before its index.
+    end: Option<String>,
 }
 
 /// Reader of one file. It yields messages in the order of the file, but none of a chunk that is damaged.
@@ -75,15 +87,11 @@ pub struct RecordingReader<R> {
     tables: Tables,
     /// Messages of the newest chunk.
     waiting: VecDeque<RecordedMessage>,
-    damaged: DamagedChunks,
-    /// Messages of topics that no readable part of the file names.
-    of_unknown_topics: u64,
-    /// Beginning of the first chunk, nanoseconds.
+    damage: Damage,
+    /// Beginning of the first chunk that is whole, nanoseconds.
     begin: Option<u64>,
     records: u64,
     is_over: bool,
-    /// Why the file ends before its index.
-    end: Option<String>,
 }
 
 /// What the next step of reading gave.
@@ -104,12 +112,10 @@ impl<R: Read> RecordingReader<R> {
             reader: LinearReader::new_with_options(options),
             tables: Tables::default(),
             waiting: VecDeque::new(),
-            damaged: DamagedChunks::default(),
-            of_unknown_topics: 0,
+            damage: Damage::default(),
             begin: None,
             records: 0,
             is_over: false,
-            end: None,
         }
     }
 
@@ -139,7 +145,7 @@ impl<R: Read> RecordingReader<R> {
                     if self.records == 0 {
                         return Err(ReadError::NoMcap(why));
                     }
-                    self.end = Some(why.to_string());
+                    self.damage.end = Some(why.to_string());
                 }
             }
         }
@@ -147,27 +153,31 @@ impl<R: Read> RecordingReader<R> {
 
     /// Returns what of the file cannot be used and why, once the last message was read: it was cut off or damaged.
     pub fn damage(&self) -> Option<String> {
-        let begin = self.begin.unwrap_or_default();
-        let seconds = |at: u64| at.saturating_sub(begin) as f64 * 1e-9;
-        let DamagedChunks { named, count } = &self.damaged;
-        let mut damages: Vec<String> = Vec::new();
-        for ([from, to], why) in named {
-            damages.push(format!(
+        let Damage { chunks, chunk_count, records, names, end } = &self.damage;
+        let begin = chunks.iter().filter_map(|(times, _)| Some(times.as_ref()?[0])).chain(self.begin).min();
+        let seconds = |at: u64| at.saturating_sub(begin.unwrap_or_default()) as f64 * 1e-9;
+        let chunk = |(times, why): &(Option<[u64; 2]>, String)| match times {
+            Some([from, to]) => format!(
                 "what was recorded from {:.1} s to {:.1} s after the beginning is damaged and left out ({why})",
                 seconds(*from),
                 seconds(*to)
-            ));
-        }
-        if *count > named.len() {
-            damages.push(format!("so are {} more parts", count - named.len()));
-        }
-        if self.of_unknown_topics > 0 {
-            damages.push(format!(
-                "{} messages are left out, whose topics no part that can be read names",
-                self.of_unknown_topics
-            ));
-        }
-        damages.extend(self.end.as_ref().map(|why| format!("{why}; used up to there")));
+            ),
+            None => format!("a part is damaged and left out ({why})"),
+        };
+        let mut damages: Vec<String> = chunks.iter().map(chunk).collect();
+        let counts = [
+            ((chunk_count - chunks.len()) as u64, "more parts are damaged and left out"),
+            (*records, "records cannot be read and are left out"),
+            (
+                self.tables.of_unknown_topics,
+                "messages are left out, whose topics no part that can be read names",
+            ),
+            (*names, "names of topics and types are known from a damaged part alone"),
+        ];
+        damages.extend(
+            counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")),
+        );
+        damages.extend(end.as_ref().map(|why| format!("{why}; used up to there")));
         (!damages.is_empty()).then(|| damages.join("; "))
     }
 
@@ -184,36 +194,35 @@ impl<R: Read> RecordingReader<R> {
             Some(Ok(LinearReadEvent::Record { data, opcode })) => (data, opcode),
         };
         self.records += 1;
-        let header = match parse_record(opcode, data)? {
-            Record::Chunk { header, .. } => header,
-            record => return Ok(self.tables.take(record).map_or(Step::Other, Step::Message)),
-        };
-        self.begin.get_or_insert(header.message_start_time);
-        let (records, damage) = records_of_chunk(data, true);
-        let Some(why) = damage else {
-            for record in records {
-                match record {
-                    Record::Message { ref header, .. }
-                        if !self.tables.channels.contains_key(&header.channel_id) =>
-                    {
-                        self.of_unknown_topics += 1;
-                    }
-                    record => self.waiting.extend(self.tables.take(record)),
-                }
-            }
+        if opcode == op::CHUNK {
+            self.damage.take_chunk(data, &mut self.tables, &mut self.waiting, &mut self.begin);
             return Ok(Step::Other);
-        };
-        self.damaged.add([header.message_start_time, header.message_end_time], &why);
-        // Later chunks need the names of topics that are in this one alone.
-        let (records, _) = records_of_chunk(data, false);
-        records.into_iter().for_each(|record| self.tables.take_new_name(record));
-        Ok(Step::Other)
+        }
+        if !is_used(opcode) {
+            return Ok(Step::Other);
+        }
+        match parse_record(opcode, data) {
+            Ok(record) => Ok(self.tables.take(record).map_or(Step::Other, Step::Message)),
+            Err(_) => {
+                self.damage.records += 1;
+                Ok(Step::Other)
+            }
+        }
     }
 }
 
-/// Returns the records of a chunk up to what cannot be read, and why that cannot. If it is to be `checked` there are none where its checksum is
-/// wrong: what that covers may be wrong anywhere.
-fn records_of_chunk(chunk: &[u8], checked: bool) -> (Vec<Record<'static>>, Option<McapError>) {
+/// Whether records of this kind are looked at.
+fn is_used(opcode: u8) -> bool {
+    [op::SCHEMA, op::CHANNEL, op::MESSAGE, op::METADATA].contains(&opcode)
+}
+
+/// Passes the records of a chunk on, with their opcodes, until one cannot be read. If it is to be `checked` there are none where its checksum
+/// is wrong: what that covers may be wrong anywhere.
+fn for_each_record(
+    chunk: &[u8],
+    checked: bool,
+    mut take: impl FnMut(u8, &[u8]) -> Result<(), McapError>,
+) -> Result<(), McapError> {
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)
         .with_skip_end_magic(true)
@@ -222,44 +231,104 @@ fn records_of_chunk(chunk: &[u8], checked: bool) -> (Vec<Record<'static>>, Optio
     let mut reader = LinearReader::new_with_options(options);
     let input = [&[op::CHUNK], &(chunk.len() as u64).to_le_bytes()[..], chunk].concat();
     let mut rest = &input[..];
-    let mut records = Vec::new();
+    let mut bytes = 0;
     while let Some(event) = reader.next_event() {
-        match event {
-            Ok(LinearReadEvent::ReadRequest(bytes)) => {
-                let next = rest.split_off(..bytes.min(rest.len())).unwrap_or_default();
+        match event? {
+            LinearReadEvent::ReadRequest(wished) => {
+                let next = rest.split_off(..wished.min(rest.len())).unwrap_or_default();
                 reader.insert(next.len()).copy_from_slice(next);
                 reader.notify_read(next.len());
             }
-            Ok(LinearReadEvent::Record { data, opcode }) => match parse_record(opcode, data) {
-                Ok(record) => records.push(record.into_owned()),
-                Err(why) => return (records, Some(why)),
-            },
-            Err(why) => return (records, Some(why)),
+            LinearReadEvent::Record { data, opcode } => {
+                bytes += RECORD_HEAD_BYTES + data.len();
+                if bytes > RECORD_BYTES_MAX {
+                    return Err(McapError::ChunkTooLarge(bytes as u64));
+                }
+                take(opcode, data)?;
+            }
         }
     }
-    (records, None)
+    Ok(())
 }
 
-impl DamagedChunks {
-    fn add(&mut self, times: [u64; 2], why: &McapError) {
-        self.count += 1;
-        if self.named.len() < DAMAGED_NAMED_MAX {
-            self.named.push((times, why.to_string()));
+impl Damage {
+    /// Takes the messages of a chunk if none of it is damaged; else notes that.
+    fn take_chunk(
+        &mut self,
+        chunk: &[u8],
+        tables: &mut Tables,
+        waiting: &mut VecDeque<RecordedMessage>,
+        begin: &mut Option<u64>,
+    ) {
+        let header = match parse_record(op::CHUNK, chunk) {
+            Ok(Record::Chunk { header, .. }) => header,
+            Ok(_) => return,
+            Err(why) => return self.add_chunk(None, &why),
+        };
+        let before = waiting.len();
+        let mut taken = if header.uncompressed_size > RECORD_BYTES_MAX as u64 {
+            Err(McapError::ChunkTooLarge(header.uncompressed_size))
+        } else {
+            Ok(())
+        };
+        if taken.is_ok() {
+            taken = for_each_record(chunk, true, |opcode, data| {
+                if is_used(opcode) {
+                    waiting.extend(tables.take(parse_record(opcode, data)?));
+                }
+                if waiting.len() - before > CHUNK_MESSAGES_MAX {
+                    return Err(McapError::ChunkTooLarge(header.uncompressed_size));
+                }
+                Ok(())
+            });
+        }
+        match taken {
+            Ok(()) => {
+                begin.get_or_insert(header.message_start_time);
+            }
+            Err(why) => {
+                waiting.truncate(before);
+                self.add_chunk(Some([header.message_start_time, header.message_end_time]), &why);
+                self.names += tables.take_new_names(chunk);
+            }
+        }
+    }
+
+    fn add_chunk(&mut self, times: Option<[u64; 2]>, why: &McapError) {
+        self.chunk_count += 1;
+        if self.chunks.len() < DAMAGED_NAMED_MAX {
+            self.chunks.push((times, why.to_string()));
         }
     }
 }
 
 impl Tables {
-    /// Takes the name of a topic or a type from a damaged chunk, if none is known under its number: a name from elsewhere counts more.
-    fn take_new_name(&mut self, record: Record<'_>) {
-        let is_new = match &record {
-            Record::Schema { header, .. } => !self.types.contains_key(&header.id),
-            Record::Channel(channel) => !self.channels.contains_key(&channel.id),
-            _ => false,
-        };
-        if is_new {
+    /// Takes the names of topics and types from a damaged chunk, which later chunks may need, where nothing is known under their numbers and
+    /// the chunk has one name for each; returns how many.
+    fn take_new_names(&mut self, chunk: &[u8]) -> u64 {
+        let mut names: BTreeMap<(u8, u16), Option<Record<'static>>> = BTreeMap::new();
+        // What can be read before the damage counts.
+        let _ = for_each_record(chunk, false, |opcode, data| {
+            if ![op::SCHEMA, op::CHANNEL].contains(&opcode) || names.len() > TOPICS_MAX {
+                return Ok(());
+            }
+            let record = parse_record(opcode, data)?.into_owned();
+            let number = match &record {
+                Record::Schema { header, .. } if !self.types.contains_key(&header.id) => header.id,
+                Record::Channel(channel) if !self.channels.contains_key(&channel.id) => channel.id,
+                _ => return Ok(()),
+            };
+            let mut record = Some(record);
+            names.entry((opcode, number)).and_modify(|known| *known = None).or_insert_with(|| record.take());
+            Ok(())
+        });
+        // Types first: a topic has its type's name.
+        let records: Vec<Record<'_>> = names.into_values().flatten().collect();
+        let count = records.len() as u64;
+        for record in records {
             self.take(record);
         }
+        count
     }
 
     /// Takes a record; returns the message, if it is one of a known topic.
@@ -275,7 +344,10 @@ impl Tables {
                 self.channels.insert(channel.id, Channel { topic, encoding, message_type });
             }
             Record::Message { header, data } => {
-                let channel = self.channels.get(&header.channel_id)?;
+                let Some(channel) = self.channels.get(&header.channel_id) else {
+                    self.of_unknown_topics += 1;
+                    return None;
+                };
                 return Some(RecordedMessage {
                     topic: channel.topic.clone(),
                     message_type: channel.message_type.clone(),

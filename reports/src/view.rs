@@ -70,7 +70,7 @@ pub struct RobotView {
     /// Its own name in this fleet, such as `alice`; `None`: it has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Tracking state of SLAM: `tracking`, `lost` ..., or `silent` where it was tracking and no scan has come for a second.
+    /// Tracking state of SLAM: `tracking`, `lost` ..., or `silent` where it knew its place and no scan has come for a second.
     pub state: &'static str,
     /// Scans that SLAM received per second: mean of the run; `None` where one moment is shown, as by `status`.
     pub scan_hz: Option<f64>,
@@ -300,7 +300,11 @@ impl RobotView {
             robot: robot.to_string(),
             name: None,
             state: match TrackingState::from_code(stats.state) {
-                Some(TrackingState::Tracking) if stats.scans > 0 && stats.scan_hz == 0.0 => SILENT,
+                Some(TrackingState::Tracking | TrackingState::Degenerate)
+                    if stats.scans > 0 && stats.scan_hz == 0.0 =>
+                {
+                    SILENT
+                }
                 state => state.map_or("?", TrackingState::name),
             },
             scan_hz: None,

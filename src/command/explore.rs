@@ -168,8 +168,8 @@ pub fn run(args: &ExploreArgs, stop: &Stop) -> Result<(), ExploreError> {
     let report = exchange(&run, args, stop)?;
     let answer = Answer::new(&report, run.config.fleet.robots, begun.elapsed().as_secs_f64());
     output::print_either(args.json, &answer, || answer.text())?;
-    if args.action == ExploreAction::Stop && !of_persons(&report).is_empty() {
-        output::note(&format!("the robots that explored stand{}", of_persons(&report)));
+    if args.action == ExploreAction::Stop && !taken_out(&report).is_empty() {
+        output::note(&format!("the robots that explored stand{}", taken_out(&report)));
     }
     let is_on_its_way = !report.status().is_final() && report.status() != ExplorationStatus::Paused;
     if args.action != ExploreAction::Start
@@ -240,14 +240,14 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
     }
 }
 
-/// Says which robots go on after the end of an exploration, because they are a person's; empty if none is.
-fn of_persons(report: &ExplorationReport) -> String {
+/// Says which robots the end of an exploration does not stop, because they were taken out of it before; empty if there are none.
+fn taken_out(report: &ExplorationReport) -> String {
     let is_manual = |robot: &RobotId| report.robot(robot.index()) == ExplorerState::Manual;
     let robots: Vec<String> =
         RobotId::first(ROBOTS_MAX).filter(is_manual).map(|robot| robot.to_string()).collect();
     match robots.as_slice() {
         [] => String::new(),
-        _ => format!(", but not {}, which a person drives or has sent", robots.join(", ")),
+        _ => format!("; {}: taken out of it before, and not stopped by this", robots.join(", ")),
     }
 }
 
@@ -261,7 +261,7 @@ fn interrupt(
     let answer =
         confirmation(commands, states, STOP_PATIENCE, |report: &ExplorationReport| report.number >= number);
     if let Some(report) = answer {
-        let reason = format!("interrupted here, the robots that explored stand{}", of_persons(&report));
+        let reason = format!("interrupted here, the robots that explored stand{}", taken_out(&report));
         return ExploreError::NotCompleted { state: report.status().name(), reason };
     }
     let reason = "interrupted here; navigation does not confirm the stop, so robots may drive on: see `mr-slam status`";

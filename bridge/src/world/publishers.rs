@@ -95,7 +95,10 @@ impl ExternalWorld {
         match publishers.receive(publisher, origin.received) {
             Verdict::Taken => Ok(true),
             Verdict::Waiting => Ok(false),
-            Verdict::Mixed => Err(WorldError::SeveralPublishers { robot, topic }),
+            Verdict::Mixed => {
+                self.robots[robot.index()].drivers.forget_waiting();
+                Err(WorldError::SeveralPublishers { robot, topic })
+            }
         }
     }
 }

@@ -90,24 +90,28 @@ pub(super) struct Drivers([Driver; 2]);
 #[derive(Clone, Copy, Debug, Default)]
 struct Driver {
     taken: Option<PublisherId>,
-    waiting: Option<(PublisherId, Pose2)>,
+    waiting: Option<(PublisherId, FirstPose)>,
+}
+
+/// The first pose that was heard of a publisher.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct FirstPose {
+    /// Its stamp by the robot's clock.
+    pub sent: Stamp,
+    /// Pose of the base in its odometry's frame.
+    pub odom_from_base: Pose2,
 }
 
 impl Drivers {
     /// Takes a pose of a publisher whose poses are not taken yet.
-    pub fn add_waiting(
-        &mut self,
-        publisher: Option<PublisherId>,
-        is_of_transform: bool,
-        odom_from_base: &Pose2,
-    ) {
+    pub fn add_waiting(&mut self, publisher: Option<PublisherId>, is_of_transform: bool, pose: FirstPose) {
         let waiting = &mut self.0[usize::from(is_of_transform)].waiting;
         let Some(publisher) =
             publisher.filter(|publisher| waiting.is_none_or(|(known, _)| known != *publisher))
         else {
             return;
         };
-        *waiting = Some((publisher, *odom_from_base));
+        *waiting = Some((publisher, pose));
     }
 
     /// Takes a pose; returns the first one that was heard of its publisher, if that is another one than before.
@@ -115,13 +119,19 @@ impl Drivers {
         &mut self,
         publisher: Option<PublisherId>,
         is_of_transform: bool,
-        odom_from_base: &Pose2,
-    ) -> Option<Pose2> {
+        pose: FirstPose,
+    ) -> Option<FirstPose> {
         let publisher = publisher?;
         let driver = &mut self.0[usize::from(is_of_transform)];
-        let first = driver.waiting.take_if(|(waiting, _)| *waiting == publisher);
+        // One that waits while this one sends has begun long before it is taken.
+        let first = driver.waiting.take().filter(|(waiting, _)| *waiting == publisher);
         let before = driver.taken.replace(publisher)?;
-        (before != publisher).then(|| first.map_or(*odom_from_base, |(_, first)| first))
+        (before != publisher).then(|| first.map_or(pose, |(_, first)| first))
+    }
+
+    /// Forgets who waits: two publishers send at once, and one that is left of them has begun long before.
+    pub fn forget_waiting(&mut self) {
+        self.0.iter_mut().for_each(|driver| driver.waiting = None);
     }
 }
 
@@ -146,9 +156,10 @@ impl ExternalWorld {
     ) -> bool {
         let state = &mut self.robots[robot.index()];
         let before = state.last_pose.filter(|last| last.is_of_transform == is_of_transform);
-        let first_of_next = state.drivers.take(origin.publisher, is_of_transform, odom_from_base);
-        let way = before.and_then(|before| Jump::between(&before, sent, odom_from_base));
-        if first_of_next.is_some_and(|first| is_restart(&first, way)) {
+        let pose = FirstPose { sent, odom_from_base: *odom_from_base };
+        let first_of_next = state.drivers.take(origin.publisher, is_of_transform, pose);
+        let way_to = |first: &FirstPose| Jump::between(&before?, first.sent, &first.odom_from_base);
+        if first_of_next.is_some_and(|first| is_restart(&first.odom_from_base, way_to(&first))) {
             self.notices.push(format!("{robot}: its driver was started again: odometry has a new origin"));
             state.repeated_scan = RepeatedScan::default();
             return true;
@@ -168,11 +179,12 @@ impl ExternalWorld {
         &mut self,
         origin: &Origin<'_>,
         robot: RobotId,
+        sent: Stamp,
         transform: &RobotFrameTransform,
         is_of_transform: bool,
     ) -> Result<(), TransformError> {
-        let odom_from_base = planar_pose(transform)?;
-        self.robots[robot.index()].drivers.add_waiting(origin.publisher, is_of_transform, &odom_from_base);
+        let pose = FirstPose { sent, odom_from_base: planar_pose(transform)? };
+        self.robots[robot.index()].drivers.add_waiting(origin.publisher, is_of_transform, pose);
         Ok(())
     }
 
@@ -218,8 +230,9 @@ mod tests {
         let at = |x_m| Pose2::new(x_m, 0.0, 0.1);
         let mut drivers = Drivers::default();
         let mut is_restart = |publisher, is_of_transform, x_m| {
-            let first = drivers.take(publisher, is_of_transform, &at(x_m));
-            first.is_some_and(|first| super::is_restart(&first, None))
+            let pose = FirstPose { sent: Stamp(0), odom_from_base: at(x_m) };
+            let first = drivers.take(publisher, is_of_transform, pose);
+            first.is_some_and(|first| super::is_restart(&first.odom_from_base, None))
         };
         assert!(!is_restart(Some(DRIVER), true, 0.0), "the first one");
         assert!(!is_restart(Some(DRIVER), true, 3.0));
@@ -233,13 +246,20 @@ mod tests {
 
     #[test]
     fn a_robot_that_drives_on_while_its_next_driver_waits_is_told_by_the_first_pose_that_was_heard() {
-        let at = |x_m| Pose2::new(x_m, 0.0, 0.0);
+        let at = |x_m| FirstPose { sent: Stamp(0), odom_from_base: Pose2::new(x_m, 0.0, 0.0) };
         let mut drivers = Drivers::default();
-        assert_eq!(drivers.take(Some(DRIVER), true, &at(3.0)), None);
-        drivers.add_waiting(Some(NEXT), true, &at(0.1));
-        drivers.add_waiting(Some(NEXT), true, &at(0.5));
-        assert_eq!(drivers.take(Some(NEXT), true, &at(0.9)), Some(at(0.1)));
-        assert_eq!(drivers.take(Some(NEXT), true, &at(1.0)), None);
+        assert_eq!(drivers.take(Some(DRIVER), true, at(3.0)), None);
+        drivers.add_waiting(Some(NEXT), true, at(0.1));
+        drivers.add_waiting(Some(NEXT), true, at(0.5));
+        assert_eq!(drivers.take(Some(NEXT), true, at(0.9)), Some(at(0.1)));
+        assert_eq!(drivers.take(Some(NEXT), true, at(1.0)), None);
+        // One that began while the other went on sending is no driver that was started again.
+        drivers.add_waiting(Some(DRIVER), true, at(0.0));
+        assert_eq!(drivers.take(Some(NEXT), true, at(1.1)), None);
+        assert_eq!(drivers.take(Some(DRIVER), true, at(2.0)), Some(at(2.0)));
+        drivers.add_waiting(Some(NEXT), true, at(0.0));
+        drivers.forget_waiting();
+        assert_eq!(drivers.take(Some(NEXT), true, at(2.0)), Some(at(2.0)));
     }
 
     #[test]

@@ -104,7 +104,9 @@ impl ExternalWorld {
             if child_frame == RobotFrame::BaseFootprint || !state.has_footprint {
                 state.last_transform = Some(origin.received);
                 if !self.is_of_one_publisher(origin, robot, RobotTopic::OdometryTransform)? {
-                    return self.note_waiting(origin, robot, &parent_from_child, true).map_err(wrong);
+                    return self
+                        .note_waiting(origin, robot, transform.stamp, &parent_from_child, true)
+                        .map_err(wrong);
                 }
                 self.send_odometry(origin, robot, [transform.stamp, stamp], &parent_from_child, true)
                     .map_err(wrong)?;

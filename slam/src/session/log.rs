@@ -217,11 +217,10 @@ impl BackEnd {
             referenced.iter().all(|count| *count as usize <= self.nodes().len())
         })?;
         // The front end had not received the newest when it reported its state.
-        let newest_known =
-            front.frame_updates.last().map_or(0, |frame_update| frame_update.effective_from_node);
+        let newest_known = front.frame_updates.last().map(|frame_update| frame_update.cause_node);
         let unknown = |frame_update: &MapFrameUpdate| {
             frame_update.effective_from_node >= front.next_node
-                && frame_update.effective_from_node > newest_known
+                && newest_known.is_none_or(|known| frame_update.cause_node > known)
         };
         front.frame_updates.extend(frame_updates.into_iter().filter(unknown).collect::<Vec<_>>());
         Some(front)

@@ -41,7 +41,11 @@ pub fn read_bag(paths: &[PathBuf], options: &BagOptions) -> Result<Bag, ReplayEr
             let opened =
                 File::open(&file).map_err(|source| ReplayError::Read { path: file.clone(), source })?;
             let ends = bag
-                .add(&mut RecordingReader::new(BufReader::new(opened)), &mut scan)
+                .add(
+                    &file.display().to_string(),
+                    &mut RecordingReader::new(BufReader::new(opened)),
+                    &mut scan,
+                )
                 .map_err(|why| ReplayError::Bag { path: file.clone(), why: why.into() })?;
             of_scans = match (of_scans, ends) {
                 (Some((first, last)), Some((next, end))) => Some((first.min(next), last.max(end))),

@@ -142,8 +142,13 @@ impl Log {
             let name = path[0].display();
             match Self::read(path, args) {
                 Ok(log) => robots.push((name.to_string(), log)),
-                Err(ReplayError::Bag { why, .. }) if why.scan_topics().is_some() => {
-                    for topic in why.scan_topics().unwrap_or_default() {
+                Err(ReplayError::Bag { why, .. }) if args.logs.len() == 1 && why.scan_topics().is_some() => {
+                    let topics = why.scan_topics().unwrap_or_default();
+                    refuse_one_robots_options(args)?;
+                    if topics.len() > msg::ROBOTS_MAX {
+                        return Err(ReplayError::Robots(topics.len()));
+                    }
+                    for topic in topics {
                         robots.push((format!("{name} {topic}"), Self::of_topic(path, args, Some(topic))?));
                     }
                 }
@@ -222,11 +227,24 @@ fn recorded_mount(path: &Path) -> Option<Pose2> {
     Some(Pose2::new(x_m, y_m, yaw_rad))
 }
 
+/// Refuses options that name one robot's topics, where a recording has several robots.
+fn refuse_one_robots_options(args: &ReplayArgs) -> Result<(), ReplayError> {
+    let BagArgs { odom_topic, odom_frame, truth_topic, .. } = &args.bag;
+    let given = [("--odom-topic", odom_topic), ("--odom-frame", odom_frame), ("--truth-topic", truth_topic)];
+    match given.iter().find(|(_, value)| value.is_some()) {
+        Some((option, _)) => Err(ReplayError::WithoutEffect {
+            options: (*option).into(),
+            replay: "several robots of one recording",
+        }),
+        None => Ok(()),
+    }
+}
+
 /// Says what is left out of a recording, and why.
 fn note_left_out(path: &Path, bag: &Bag) {
     let path = path.display();
     if let Some(why) = &bag.damage {
-        output::note(&format!("{path}: {why}"));
+        output::note(why);
     }
     if let Some(fault) = &bag.first_fault {
         output::note(&format!("{path}: what is wrong with the first malformed message, on {fault}"));

@@ -263,8 +263,15 @@ impl FrontEndRunner {
         {
             self.trajectory_start = None;
         }
-        self.last = Some(result.pose_estimate);
-        (self.last, result.rejected.is_none())
+        // In a pause the pose follows odometry from the one scan that is looked at.
+        let has_odometry = result.pose_estimate.map_from_odom().is_some();
+        let tells_place =
+            result.rejected.is_none() && (has_odometry || self.waited >= SCANS_WITHOUT_ODOMETRY_MAX);
+        self.waited += u32::from(self.paused && !tells_place);
+        if !self.paused || tells_place {
+            self.last = Some(result.pose_estimate);
+        }
+        (Some(result.pose_estimate), result.rejected.is_none())
     }
 
     /// Begins with a new front end: at the robot's last pose if it `keeps_pose`, as the frame of the map is the same.

@@ -4,7 +4,7 @@ use super::FrontCommand;
 use super::back_end::WorkerState;
 use super::files::FileOperation;
 use super::refused::FileJobError;
-use super::services::{RequestOutcome, RequestResult, Services, submit_file_job};
+use super::services::{RequestOutcome, RequestResult, Services};
 use crate::ports::Ports;
 use crate::run::Run;
 use crate::sessions;
@@ -23,7 +23,7 @@ pub(super) fn was_paused(storage: &impl Storage, run: &Run, robot: RobotId) -> b
 }
 
 impl<P: Ports> Services<P> {
-    /// Pauses SLAM or goes on. The answer follows when a restarted process would know it.
+    /// Pauses SLAM or goes on, whatever the disk does.
     pub(super) fn pause(
         &mut self,
         pauses: bool,
@@ -31,22 +31,25 @@ impl<P: Ports> Services<P> {
         state: &mut WorkerState,
     ) -> RequestResult {
         let work = if pauses { FileOperation::Replace(Vec::new()) } else { FileOperation::Remove };
-        let outcome = submit_file_job(state, request, self.pause_marker.clone(), work)?;
+        let is_written = state.submit_file_job(Some(request), self.pause_marker.clone(), work);
         self.paused = pauses;
         state.commands.send(FrontCommand::Pause(pauses));
-        Ok(outcome)
+        let text = if pauses { "new scans are not looked at" } else { "scans are looked at again" };
+        let kept = if is_written {
+            ""
+        } else {
+            "; but a restarted process would not know it: too many files are being written"
+        };
+        Ok(RequestOutcome::Done(format!("{text}{kept}")))
     }
 }
 
-/// Returns the answer to a pause or a resumption whose file was written; `None` for other requests.
-pub(super) fn answer(request: &SlamRequest, written: Result<(), &FileJobError>) -> Option<RequestOutcome> {
-    let text = match SlamRequestKind::from_code(request.kind)? {
-        SlamRequestKind::Pause => "new scans are not looked at",
-        SlamRequestKind::Resume => "scans are looked at again",
-        _ => return None,
-    };
-    Some(RequestOutcome::Done(match written {
-        Ok(()) => text.into(),
-        Err(why) => format!("{text}; but a restarted process would not know it: {why}"),
-    }))
+/// Returns whether a request was answered before its file was written; says if the file could not be written.
+pub(super) fn is_answered(request: &SlamRequest, written: Result<(), &FileJobError>) -> bool {
+    let kind = SlamRequestKind::from_code(request.kind);
+    let is_pause = matches!(kind, Some(SlamRequestKind::Pause | SlamRequestKind::Resume));
+    if is_pause && let Err(why) = written {
+        tracing::warn!("slam: a process that is started again would not know whether it is paused: {why}");
+    }
+    is_pause
 }

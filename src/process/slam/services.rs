@@ -222,8 +222,8 @@ impl<P: Ports> Services<P> {
         let FileJobOutcome { request: Some(request), path, result, .. } = outcome else { return };
         let loads = request.kind == SlamRequestKind::LoadSession as u32;
         self.loading &= !loads;
-        if let Some(answer) = pausing::answer(&request, result.as_ref().map(|_| ())) {
-            return self.respond(&request, Ok(answer), state);
+        if pausing::is_answered(&request, result.as_ref().map(|_| ())) {
+            return;
         }
         let outcome = result.map(|loaded| {
             let text = match &loaded {
@@ -301,7 +301,7 @@ fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, Re
     Ok(path)
 }
 
-pub(super) fn submit_file_job(
+fn submit_file_job(
     state: &WorkerState,
     request: &SlamRequest,
     path: PathBuf,
