@@ -70,7 +70,7 @@ pub struct RobotView {
     /// Its own name in this fleet, such as `alice`; `None`: it has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Tracking state of SLAM: `tracking`, `lost` ..., or `silent` where it knew its place and no scan has come for a second.
+    /// Tracking state of SLAM at its newest scan: `tracking`, `lost` ...; `scan_hz_last_second` and the alarms say whether scans come.
     pub state: &'static str,
     /// Scans that SLAM received per second: mean of the run; `None` where one moment is shown, as by `status`.
     pub scan_hz: Option<f64>,
@@ -257,9 +257,6 @@ impl FleetView {
     }
 }
 
-/// State of a robot whose scans have ended: whether SLAM still knows its place is not known.
-const SILENT: &str = "silent";
-
 impl RobotView {
     /// Returns whether SLAM does not know where the robot is.
     pub fn is_lost(&self) -> bool {
@@ -299,14 +296,7 @@ impl RobotView {
         Self {
             robot: robot.to_string(),
             name: None,
-            state: match TrackingState::from_code(stats.state) {
-                Some(TrackingState::Tracking | TrackingState::Degenerate)
-                    if stats.scans > 0 && stats.scan_hz == 0.0 =>
-                {
-                    SILENT
-                }
-                state => state.map_or("?", TrackingState::name),
-            },
+            state: TrackingState::from_code(stats.state).map_or("?", TrackingState::name),
             scan_hz: None,
             scan_hz_last_second: stats.scan_hz,
             scans: stats.scans,
