@@ -6,6 +6,7 @@
 use crate::storage::Storage;
 use ::slam::session::log::{LogContents, LogPosition, LogRecord, continuation};
 use ::slam::{InitialPose, Session, SessionIdentity, SlamConfig};
+use msg::SlamMode;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -26,9 +27,8 @@ pub fn files(session: &Path) -> [PathBuf; 2] {
 
 /// Returns all files of logs that may be beside a robot's session file.
 pub fn all_files(session: &Path) -> [PathBuf; 4] {
-    let [own, begun_with] =
-        [OWN_KINDS, BEGUN_WITH_KINDS].map(|kinds| kinds.map(|kind| session.with_extension(kind)));
-    [own[0].clone(), own[1].clone(), begun_with[0].clone(), begun_with[1].clone()]
+    let ([own0, own1], [begun0, begun1]) = (OWN_KINDS, BEGUN_WITH_KINDS);
+    [own0, own1, begun0, begun1].map(|kind| session.with_extension(kind))
 }
 
 /// Renames the log beside a robot's session file, with which a run in the same folder begins: this run's own log takes its place.
@@ -98,7 +98,17 @@ pub fn with_records(storage: &impl Storage, path: &Path, session: Session, confi
     let (identity, mode) = (session.identity, session.mode);
     let mut config = config.clone();
     config.graph.trajectory_max = 0;
-    let (_, mut back) = ::slam::create_or_resume(config, Some(session), mode, InitialPose::Continue);
-    let front = back.replay(records.chain);
+    replayed(config, (Some(session), mode, InitialPose::Continue), records.chain, identity)
+}
+
+/// Returns the session of a process that begins with another one, or with nothing, and receives the nodes of these records.
+pub fn replayed(
+    config: SlamConfig,
+    (begins_with, mode, pose): (Option<Session>, SlamMode, InitialPose),
+    records: Vec<LogRecord>,
+    identity: SessionIdentity,
+) -> Session {
+    let (_, mut back) = ::slam::create_or_resume(config, begins_with, mode, pose);
+    let front = back.replay(records);
     back.session(identity, front, &[])
 }

@@ -102,9 +102,15 @@ pub fn identity(run: &Run, robot: RobotId) -> SessionIdentity {
 
 /// Reads the session that a robot begins with, if there is one, with the nodes that its run has logged after it.
 pub fn first(config: &FleetConfig, robot: RobotId) -> Result<Option<Session>, SessionFileError> {
+    let Some((path, session)) = first_saved(config, robot)? else { return Ok(None) };
+    Ok(Some(session_records::with_records(&DiskStorage, &path, session, &config.slam)))
+}
+
+/// Reads the same session as it was saved, with its path.
+fn first_saved(config: &FleetConfig, robot: RobotId) -> Result<Option<(PathBuf, Session)>, SessionFileError> {
     let Some(path) = config.sessions.folder().map(|folder| file(folder, robot)) else { return Ok(None) };
     match session_file::read(&path, &SessionIdentity::new(robot.number() as u32, 0, &config.slam)) {
-        Ok(session) => Ok(Some(session_records::with_records(&DiskStorage, &path, session, &config.slam))),
+        Ok(session) => Ok(Some((path, session))),
         Err(why) if why.is_missing() => Ok(None),
         Err(why) => Err(why),
     }
@@ -123,7 +129,7 @@ pub fn check(config: &FleetConfig) -> Result<(), SessionsError> {
     let Some(folder) = config.sessions.folder() else { return Ok(()) };
     let mut missing = Vec::new();
     for robot in RobotId::first(config.fleet.robots) {
-        if first(config, robot)?.is_none() {
+        if first_saved(config, robot)?.is_none() {
             missing.push(robot);
         }
     }

@@ -251,6 +251,25 @@ fn for_each_record(
     Ok(())
 }
 
+/// Adds the messages of a chunk to those that wait. After an error some of them may be there.
+fn take_messages(
+    chunk: &[u8],
+    uncompressed_bytes: u64,
+    tables: &mut Tables,
+    waiting: &mut VecDeque<RecordedMessage>,
+) -> Result<(), McapError> {
+    if uncompressed_bytes > RECORD_BYTES_MAX as u64 {
+        return Err(McapError::ChunkTooLarge(uncompressed_bytes));
+    }
+    let most = waiting.len() + CHUNK_MESSAGES_MAX;
+    for_each_record(chunk, true, |opcode, data| {
+        if is_used(opcode) {
+            waiting.extend(tables.take(parse_record(opcode, data)?));
+        }
+        if waiting.len() > most { Err(McapError::ChunkTooLarge(uncompressed_bytes)) } else { Ok(()) }
+    })
+}
+
 impl Damage {
     /// Takes the messages of a chunk if none of it is damaged; else notes that.
     fn take_chunk(
@@ -266,23 +285,7 @@ impl Damage {
             Err(why) => return self.add_chunk(None, &why),
         };
         let before = waiting.len();
-        let mut taken = if header.uncompressed_size > RECORD_BYTES_MAX as u64 {
-            Err(McapError::ChunkTooLarge(header.uncompressed_size))
-        } else {
-            Ok(())
-        };
-        if taken.is_ok() {
-            taken = for_each_record(chunk, true, |opcode, data| {
-                if is_used(opcode) {
-                    waiting.extend(tables.take(parse_record(opcode, data)?));
-                }
-                if waiting.len() - before > CHUNK_MESSAGES_MAX {
-                    return Err(McapError::ChunkTooLarge(header.uncompressed_size));
-                }
-                Ok(())
-            });
-        }
-        match taken {
+        match take_messages(chunk, header.uncompressed_size, tables, waiting) {
             Ok(()) => {
                 begin.get_or_insert(header.message_start_time);
             }

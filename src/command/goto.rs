@@ -198,7 +198,7 @@ fn exchange(
     let number = crate::clock::now().0;
     commands.send(&command(args, robot, number));
     let what = if args.cancel { "its goal is cancelled" } else { "it has arrived" };
-    let mut waiting = Waiting::new(Instant::now(), format!("{}: whether {what} is not known", robot));
+    let mut waiting = Waiting::new(Instant::now(), format!("{robot}: whether {what} is not known"));
     let (mut first, mut shown) = (FirstStates::new(), String::new());
     loop {
         // A navigator that starts again needs the command once more.

@@ -186,15 +186,14 @@ fn finish(args: &ReplayArgs, replayed: Replayed, truth: &[(Stamp, Pose2)]) -> Re
         write_map_with_reasons(&map_file::stem(path), grid, &summary.unreliable_reasons)?;
     }
     output::print_either(args.json, &summary, || summary.text())?;
-    let all = summary.scans + summary.rejected();
-    match placed {
-        _ if 2 * summary.scans < all => {
-            Err(ReplayError::FewScans { path: args.logs[0].clone(), used: summary.scans, all })
-        }
-        _ if !has_wall => Err(ReplayError::NoWall { path: args.logs[0].clone(), scans: summary.scans }),
-        0 => Err(ReplayError::NothingPlaced { path: args.logs[0].clone(), scans: summary.scans }),
-        _ => Ok(()),
+    let (path, scans, all) = (args.logs[0].clone(), summary.scans, summary.scans + summary.rejected());
+    if 2 * scans < all {
+        return Err(ReplayError::FewScans { path, used: scans, all });
     }
+    if !has_wall {
+        return Err(ReplayError::NoWall { path, scans });
+    }
+    if placed == 0 { Err(ReplayError::NothingPlaced { path, scans }) } else { Ok(()) }
 }
 
 /// Says what a person may have expected and did not get.

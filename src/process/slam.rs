@@ -21,6 +21,7 @@ use super::{Error, serve};
 use crate::ports::{ChannelError, Clock, Ports};
 use crate::progress::{ProgressCounter, WatchedThread};
 use crate::run::Run;
+use crate::session_records;
 use crate::sessions;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
@@ -244,9 +245,7 @@ fn restore_or_create(
         (Some(session), true) => session,
         (session, _) => {
             let start = if has_session { InitialPose::Continue } else { InitialPose::Unknown };
-            let (_, mut back) = ::slam::create_or_resume(config.clone(), session, mode, start);
-            let front = back.replay(records);
-            back.session(identity, front, &[])
+            session_records::replayed(config.clone(), (session, mode, start), records, identity)
         }
     };
     // A robot that was localized is looked for where it was; one that was looked for, everywhere.

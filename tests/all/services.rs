@@ -1,7 +1,8 @@
 //! SLAM's modes and services in a running fleet from the command line, and the requests that are refused.
 
-use crate::harness::{Fleet, Folder, mr_slam, output, output_of, send};
+use crate::harness::{Fleet, Folder, mr_slam, output, output_of, process, send};
 use mr_slam::sessions::FOLDER;
+use reports::FleetView;
 use rustix::process::Signal;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -107,6 +108,11 @@ fn a_lockstep_run_depends_on_its_seed_and_sessions_alone() {
     assert!(error < 0.10, "it is found: {localized}");
 }
 
+/// Whether robot1's SLAM runs again after the process with this number.
+fn is_started_again(view: &FleetView, before: u32) -> bool {
+    process(view, "slam of robot1").is_some_and(|p| p.pid != before && p.state == "up")
+}
+
 #[test]
 fn a_killed_slam_process_comes_back_with_its_map() {
     let folder = Folder::new();
@@ -120,9 +126,7 @@ fn a_killed_slam_process_comes_back_with_its_map() {
         fleet.until("its process", |view| view.processes.iter().any(|p| p.process == "slam of robot1"));
     let worker = before.processes.iter().find(|p| p.process == "slam of robot1").unwrap().pid;
     send(worker, Signal::KILL);
-    fleet.until("its return", |view| {
-        view.processes.iter().any(|p| p.process == "slam of robot1" && p.pid != worker && p.state == "up")
-    });
+    fleet.until("its return", |view| is_started_again(view, worker));
     let state = answer(&dir, "1", &["state"]);
     assert!(nodes(&state) >= saved, "{state} after {saved} nodes were saved");
     // It goes on, in the same frame.
@@ -137,11 +141,7 @@ fn a_killed_slam_process_comes_back_with_its_map() {
     let paused = self::worker(&mut fleet, "slam of robot1");
     send(paused, Signal::KILL);
     fleet.until("its return in the pause", |view| {
-        let is_back = view
-            .processes
-            .iter()
-            .any(|p| p.process == "slam of robot1" && p.pid != paused && p.state == "up");
-        is_back && view.robots[0].state == "paused"
+        is_started_again(view, paused) && view.robots[0].state == "paused"
     });
     assert_eq!(answer(&dir, "1", &["state"])["paused"], true);
     assert_eq!(answer(&dir, "1", &["resume"])["paused"], false);
@@ -161,13 +161,8 @@ fn a_slam_process_with_a_damaged_session_starts_a_new_map_in_the_same_frame() {
     std::fs::write(&file, &whole[..whole.len() - 1]).unwrap();
     let worker = worker(&mut fleet, "slam of robot1");
     send(worker, Signal::KILL);
-    fleet.until("its return", |view| {
-        let back = view
-            .processes
-            .iter()
-            .any(|p| p.process == "slam of robot1" && p.pid != worker && p.state == "up");
-        back && (1..6).contains(&view.robots[0].nodes)
-    });
+    fleet
+        .until("its return", |view| is_started_again(view, worker) && (1..6).contains(&view.robots[0].nodes));
     let after = fleet.until("its going on", |view| view.robots[0].nodes >= 6);
     assert!(after.robots[0].pose_error_m.is_some_and(|error| error < 0.10), "{:?}", after.robots);
     assert_eq!(std::fs::read(&file).unwrap().len(), whole.len() - 1, "it is not to save");

@@ -37,7 +37,7 @@ enum Fault {
     Stall(f64),
 }
 
-/// What the operator is to read, in this order; between others.
+/// What the operator is to read of the fault, in this order, and nothing else.
 fn expected(fault: Fault) -> &'static [&'static str] {
     match fault {
         Fault::None | Fault::Silence | Fault::Stall(_) | Fault::LidarHangs => &[],

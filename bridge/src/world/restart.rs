@@ -106,12 +106,10 @@ impl Drivers {
     /// Takes a pose of a publisher whose poses are not taken yet.
     pub fn add_waiting(&mut self, publisher: Option<PublisherId>, is_of_transform: bool, pose: FirstPose) {
         let waiting = &mut self.0[usize::from(is_of_transform)].waiting;
-        let Some(publisher) =
-            publisher.filter(|publisher| waiting.is_none_or(|(known, _)| known != *publisher))
-        else {
-            return;
-        };
-        *waiting = Some((publisher, pose));
+        let Some(publisher) = publisher else { return };
+        if waiting.is_none_or(|(known, _)| known != publisher) {
+            *waiting = Some((publisher, pose));
+        }
     }
 
     /// Takes a pose; returns the first one that was heard of its publisher, if that is another one than before.

@@ -54,6 +54,8 @@ pub struct RecordedScans {
     bag: Bag,
     /// Stamps of the scans of which the recording has the true pose of the base, and these poses, in order of time.
     world_from_base: Vec<(Stamp, Pose2)>,
+    /// Pauses in the scans.
+    gaps: Option<ScanGaps>,
 }
 
 /// A log that was read.
@@ -132,7 +134,11 @@ impl Log {
             let LeftOut { malformed, without_odometry, .. } = bag.left_out;
             return Err(ReplayError::NoScanOfBag { path: path.clone(), malformed, without_odometry });
         }
-        Ok(Self::of_bag(bag))
+        let log = Self::of_bag(bag);
+        if let Some(gaps) = log.gaps() {
+            output::note(&format!("{}: {gaps}", path.display()));
+        }
+        Ok(log)
     }
 
     /// Reads the logs of several robots, each with its name: a log each, or a recording in which each robot has its topic of scans.
@@ -165,7 +171,8 @@ impl Log {
     pub fn of_bag(bag: Bag) -> Self {
         let truth = bag.scans.iter().filter_map(|scan| Some((scan.stamp, scan.world_from_base?)));
         let world_from_base = truth.collect();
-        Self::Recording(Box::new(RecordedScans { bag, world_from_base }))
+        let gaps = ScanGaps::find(bag.scans.iter().map(|scan| scan.stamp));
+        Self::Recording(Box::new(RecordedScans { bag, world_from_base, gaps }))
     }
 
     /// Returns the scans.
@@ -199,7 +206,7 @@ impl Log {
     pub fn gaps(&self) -> Option<ScanGaps> {
         match self {
             Self::Carmen(_) => None,
-            Self::Recording(scans) => ScanGaps::find(scans.bag.scans.iter().map(|scan| scan.stamp)),
+            Self::Recording(scans) => scans.gaps,
         }
     }
 
@@ -248,9 +255,6 @@ fn note_left_out(path: &Path, bag: &Bag) {
     }
     if let Some(fault) = &bag.first_fault {
         output::note(&format!("{path}: what is wrong with the first malformed message, on {fault}"));
-    }
-    if let Some(gaps) = ScanGaps::find(bag.scans.iter().map(|scan| scan.stamp)) {
-        output::note(&format!("{path}: {gaps}"));
     }
     let LeftOut { malformed, too_many_beams, without_odometry, other_frames, stray_stamps, clock_steps } =
         bag.left_out;

@@ -147,14 +147,11 @@ impl Summary {
 
     /// Says why the map may be wrong, if there is a reason.
     fn doubts(&self) -> String {
-        let s = self;
-        let mut text = String::new();
-        for reason in &s.unreliable_reasons {
-            text += &format!("  unreliable {reason}: the map may be wrong by metres\n");
-        }
-        let agreement = &s.evidence.odometry_agreement;
-        if agreement.reasons().next().is_some() || has_other_scale(agreement) {
-            text += &agreement_text(&s.evidence.odometry_agreement);
+        let reason = |reason: &&str| format!("  unreliable {reason}: the map may be wrong by metres\n");
+        let mut text: String = self.unreliable_reasons.iter().map(reason).collect();
+        let agreement = &self.evidence.odometry_agreement;
+        if agreement.reasons().next().is_some() || self.has_other_scale() {
+            text += &agreement_text(agreement);
         }
         text
     }
@@ -166,7 +163,8 @@ impl Summary {
 
     /// Returns whether one of scans and odometry measures lengths wrongly.
     pub(super) fn has_other_scale(&self) -> bool {
-        has_other_scale(&self.evidence.odometry_agreement)
+        let ratio = self.evidence.odometry_agreement.distance_ratio;
+        ratio.is_some_and(|ratio| (ratio - 1.0).abs() > SCALE_TOLD)
     }
 
     /// Copies the pose at the last scan, with its place in the map.
@@ -205,11 +203,6 @@ impl Summary {
 
 /// Deviation of the lengths in the map from odometry's from which it is said, as a share: wheels and their tracks are measured better.
 const SCALE_TOLD: f64 = 0.1;
-
-/// Returns whether one of scans and odometry measures lengths wrongly.
-fn has_other_scale(agreement: &OdometryAgreement) -> bool {
-    agreement.distance_ratio.is_some_and(|ratio| (ratio - 1.0).abs() > SCALE_TOLD)
-}
 
 /// Returns the line that says how the motion in the map compares with odometry's.
 fn agreement_text(agreement: &OdometryAgreement) -> String {

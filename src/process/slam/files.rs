@@ -124,23 +124,14 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
     fn perform(&mut self, SlamFileJob { request, path, work }: SlamFileJob) -> FileJobOutcome {
         let begun = self.clock.now();
         let appended_at = if let FileOperation::Append { at, .. } = &work { Some(*at) } else { None };
+        let written = |result: std::io::Result<()>| {
+            result.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
+        };
         let result = match work {
-            FileOperation::Save(session) => {
-                let written = self.storage.write(&path, &session.encode());
-                written.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
-            }
-            FileOperation::Append { at, bytes } => {
-                let written = self.storage.append(&path, at, &bytes);
-                written.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
-            }
-            FileOperation::Replace(bytes) => {
-                let written = self.storage.replace(&path, &bytes);
-                written.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
-            }
-            FileOperation::Remove => {
-                let removed = self.storage.remove(&path);
-                removed.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
-            }
+            FileOperation::Save(session) => written(self.storage.write(&path, &session.encode())),
+            FileOperation::Append { at, bytes } => written(self.storage.append(&path, at, &bytes)),
+            FileOperation::Replace(bytes) => written(self.storage.replace(&path, &bytes)),
+            FileOperation::Remove => written(self.storage.remove(&path)),
             FileOperation::Draw { grid, reasons } => self
                 .storage
                 .write_map(&path, grid.view(), &reasons)
