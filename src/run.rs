@@ -90,6 +90,9 @@ pub enum RunError {
     /// No fleet runs.
     #[error("no fleet is running; start one with `mr-slam up`")]
     NoneRunning,
+    /// The folder that was named has no run.
+    #[error("{}: no fleet has run in this folder (it has no run.json); `mr-slam status` finds the fleets that run", .0.display())]
+    NoRun(PathBuf),
     /// The fleet that was named has ended.
     #[error("{}: the fleet of this run has ended; start one with `mr-slam up`", .0.display())]
     Ended(PathBuf),
@@ -131,6 +134,9 @@ struct RunFile {
 impl RunFile {
     fn read(dir: &Path) -> Result<Self, RunError> {
         let path = dir.join("run.json");
+        if fs::symlink_metadata(&path).is_err_and(|why| why.kind() == io::ErrorKind::NotFound) {
+            return Err(RunError::NoRun(dir.into()));
+        }
         // What another user put there is not a fleet of this user's.
         runtime_folder::check_file(&path, Forbidden::Writing)?;
         let json = formats::limited::read_text(&path, FILE_BYTES_MAX).map_err(RunError::file(&path))?;

@@ -5,6 +5,7 @@
 //! | [`carmen`] | CARMEN logs: odometry and laser scans as lines of text |
 //! | [`map_file`] | occupancy grids as ROS's map_server reads them: YAML with a PGM or PNG image |
 //! | [`gzip`] | gzip streams, unpacked up to a limit |
+//! | [`folder`] | folders for results |
 //! | [`atomic`] | files that appear whole or not at all |
 //! | [`overwriting`] | results that would replace what they are made of |
 //!
@@ -15,6 +16,7 @@
 pub mod atomic;
 pub mod bag_folder;
 pub mod carmen;
+pub mod folder;
 pub mod gzip;
 pub mod limited;
 pub mod map_file;

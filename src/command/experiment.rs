@@ -149,7 +149,7 @@ pub fn run(args: &ExperimentArgs, stop: &Stop) -> Result<(), Error> {
     }
     let beside =
         args.beside.iter().map(|folder| summary::Results::read(folder)).collect::<Result<Vec<_>, _>>()?;
-    std::fs::create_dir_all(out)?;
+    formats::folder::create(out)?;
     // Two experiments in one folder would set each other's sessions aside.
     let _lock = lock_folder(out)?;
     let (mut sessions, mut failed) = (Vec::new(), Vec::new());

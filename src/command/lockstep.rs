@@ -142,7 +142,7 @@ fn simulated_config(args: &LockstepArgs) -> Result<FleetConfig, Error> {
 /// Creates and locks the folder of the results, before the run: a folder that cannot be written, or in which a fleet runs, is
 /// said at once.
 fn lock_run_dir(dir: &Path) -> Result<Lock, Error> {
-    std::fs::create_dir_all(dir).map_err(|why| format!("{}: {why}", dir.display()))?;
+    formats::folder::create(dir)?;
     Ok(lock_folder(dir)?)
 }
 

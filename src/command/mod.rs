@@ -37,9 +37,13 @@ use std::ffi::OsString;
 /// Reason why a tool ended without a result.
 pub type Error = Box<dyn std::error::Error>;
 
+/// What the help says below the tools.
+const FOR_PROGRAMS: &str = "With --json a tool prints JSON to standard output, and messages for people to standard error. \
+     If it fails, its exit code is not 0 and the JSON says why: {\"error\": \"...\"}, or the result with its state.";
+
 /// Multi-robot SLAM for one operator: a fleet, its maps, and a bridge to headset and ROS 2
 #[derive(Parser)]
-#[command(version, about)]
+#[command(version, about, after_help = FOR_PROGRAMS)]
 pub struct Cli {
     /// Tool to run.
     #[command(subcommand)]
@@ -115,6 +119,14 @@ impl Cli {
     pub fn parse_words(words: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
         Self::try_parse_from(words.into_iter().map(coordinates::as_value))
     }
+}
+
+/// Returns what is wrong with a command line, in one line without the usage.
+pub fn usage_error(why: &clap::Error) -> String {
+    let text = why.render().to_string();
+    let said = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
+    let words: Vec<&str> = said.flat_map(str::split_whitespace).collect();
+    words.join(" ").trim_start_matches("error: ").to_owned()
 }
 
 /// Runs the tool that the command line names.

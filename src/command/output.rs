@@ -3,6 +3,7 @@
 use link_transport::ConnectionLog;
 use serde::Serialize;
 use std::io::{self, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt::format;
 use tracing_subscriber::layer::SubscriberExt as _;
@@ -30,10 +31,14 @@ pub fn start_log() {
     let _ = tracing_subscriber::registry().with(filter).with(log).try_init();
 }
 
+/// Whether something was printed to standard output.
+static HAS_PRINTED: AtomicBool = AtomicBool::new(false);
+
 /// Prints text as it is, without a line break of its own, to standard output.
 ///
 /// Errors: whatever the system says, such as a full disk, but for a closed pipe.
 pub fn print(text: &str) -> io::Result<()> {
+    HAS_PRINTED.fetch_or(!text.is_empty(), Ordering::Relaxed);
     let mut stdout = io::stdout().lock();
     let written = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
     match written {
@@ -51,6 +56,14 @@ pub fn print_json(value: &impl Serialize) -> io::Result<()> {
 /// Prints a value as JSON if `json`, otherwise the text that `text` returns.
 pub fn print_either(json: bool, value: &impl Serialize, text: impl FnOnce() -> String) -> io::Result<()> {
     if json { print_json(value) } else { print(&text()) }
+}
+
+/// Prints `{"error": ...}` to standard output for a program that asked for JSON, unless it has a result already: a goal that
+/// was not reached has one. Errors are ignored, as the exit code says the rest.
+pub fn print_failure(why: &str) {
+    if !HAS_PRINTED.load(Ordering::Relaxed) {
+        let _ = print_json(&serde_json::json!({ "error": why }));
+    }
 }
 
 /// Prints a line for people to standard error. Nobody has to read it: errors are ignored.

@@ -49,8 +49,7 @@ pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
         None => free_path(&run.dir.join(record::FOLDER)),
     };
     if let Some(folder) = path.parent().filter(|folder| *folder != Path::new("")) {
-        std::fs::create_dir_all(folder)
-            .map_err(|why| format!("cannot make the folder {}: {why}", folder.display()))?;
+        formats::folder::create(folder)?;
     }
     let files = new_files(&path, &run.config.recording)?;
     let summary_path = path.with_extension("json");

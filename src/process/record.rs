@@ -107,7 +107,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     lower_priority(NICE);
     let participant = run.attach(Role::Record, None)?;
     let folder = run.dir.join(FOLDER);
-    std::fs::create_dir_all(&folder)?;
+    formats::folder::create(&folder)?;
     let files = RecordingFiles::new(
         &folder.join(STEM).with_extension("mcap"),
         run.config.recording.disk_free_bytes(),

@@ -12,6 +12,7 @@ use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -20,7 +21,10 @@ pub const LIMIT: Duration = Duration::from_secs(90);
 /// Period at which a condition is looked at.
 const POLL: Duration = Duration::from_millis(50);
 
-/// Folder of a test, and its turn: the tests take turns, because each has fleets of its own.
+/// Tests that run at once: each has fleets of its own, which wait for one another most of the time.
+const AT_ONCE: usize = 2;
+
+/// Folder of a test, and its turn.
 pub struct TestFolder {
     folder: tempfile::TempDir,
     _turn: MutexGuard<'static, ()>,
@@ -29,9 +33,11 @@ pub struct TestFolder {
 impl TestFolder {
     /// Waits for the tests before, and makes a folder.
     pub fn new() -> Self {
-        static TURN: Mutex<()> = Mutex::new(());
+        static TURNS: [Mutex<()>; AT_ONCE] = [const { Mutex::new(()) }; AT_ONCE];
+        static TESTS: AtomicUsize = AtomicUsize::new(0);
+        let test = TESTS.fetch_add(1, Ordering::Relaxed);
         // A test that failed has ended as well.
-        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let turn = TURNS[test % AT_ONCE].lock().unwrap_or_else(PoisonError::into_inner);
         Self { folder: tempfile::tempdir().unwrap(), _turn: turn }
     }
 

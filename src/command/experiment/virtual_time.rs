@@ -90,7 +90,7 @@ pub fn run(
     }
     let elapsed = Duration::from_secs_f64(fleet.now().seconds());
     let report = Report { series, pictures, ..Report::of_figures(config, elapsed, view, None) };
-    std::fs::create_dir_all(folder)?;
+    formats::folder::create(folder)?;
     report.write(folder)?;
     Ok(report)
 }
