@@ -121,6 +121,11 @@ impl TestWorld {
         self.robots[index].pose
     }
 
+    /// Sets a robot down at a pose, as a person who has driven it there.
+    pub fn place(&mut self, index: usize, pose: Pose2) {
+        self.robots[index].pose = pose;
+    }
+
     /// Newest scan of a robot, metres; empty before the first.
     pub fn ranges_m(&self, index: usize) -> &[f32] {
         &self.robots[index].ranges_m

@@ -29,6 +29,9 @@ const INTENDED_WAYPOINTS: usize = 8;
 const MAP_MOVED_M: f64 = 0.05;
 const MAP_MOVED_RAD: f64 = 0.03;
 
+/// Distance from where it arrived at a position within which a robot is there, metres: turns on the spot move it by less.
+const ARRIVED_M: f64 = 0.1;
+
 /// Another robot as seen by one that drives.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OtherRobot {
@@ -54,7 +57,24 @@ struct ActiveGoal {
     /// Index of the pose that is driven to.
     next: usize,
     progress: Progress,
-    is_at_position: bool,
+    /// Where the robot arrived at this pose's position, as `odom_from_base`; `None` on its way there.
+    arrived_at: Option<Pose2>,
+}
+
+impl ActiveGoal {
+    /// Whether the robot is still where it arrived: a person may have driven it elsewhere, or something pushed it.
+    fn is_at_position(&self, odom_from_base: Pose2) -> bool {
+        self.arrived_at.is_some_and(|at| at.distance_m(odom_from_base) < ARRIVED_M)
+    }
+
+    /// Goes on with the pose that comes next, at the same place or elsewhere.
+    fn take_next_pose(&mut self, now: Stamp, is_elsewhere: bool) {
+        self.next += 1;
+        self.progress.restart(now);
+        if is_elsewhere {
+            self.arrived_at = None;
+        }
+    }
 }
 
 /// Navigation of one robot.
@@ -159,7 +179,7 @@ impl RobotNavigator {
             }
         };
         self.waited_for = None;
-        self.goal = Some(ActiveGoal { goal, next: 0, progress, is_at_position: false });
+        self.goal = Some(ActiveGoal { goal, next: 0, progress, arrived_at: None });
         self.state = NavigationState::Planning;
     }
 
@@ -314,7 +334,8 @@ impl RobotNavigator {
             return Twist::STOP;
         };
         let cruise_m_s = self.config.follower.cruise_m_s;
-        let is_at_position = self.goal.as_ref().is_some_and(|active| active.is_at_position);
+        let is_at_position =
+            self.goal.as_ref().is_some_and(|active| active.is_at_position(poses.odom_from_base));
         let followed = if is_at_position {
             None
         } else {

@@ -2,6 +2,7 @@
 
 mod fleet;
 mod place_search;
+mod waypoints;
 mod zones;
 
 use super::*;

@@ -30,12 +30,12 @@ impl RobotNavigator {
         let Some(active) = self.goal.as_mut() else { return Twist::STOP };
         let next = active.goal.next_pose_after(active.next);
         if next == NextPose::Elsewhere {
-            active.next += 1;
-            active.progress.restart(now);
+            active.take_next_pose(now, true);
             (self.searched, self.followed) = (None, None);
             return Twist::STOP;
         }
-        if !std::mem::replace(&mut active.is_at_position, true) {
+        if !active.is_at_position(poses.odom_from_base) {
+            active.arrived_at = Some(poses.odom_from_base);
             active.progress.restart(now);
         }
         let turns_on = next == NextPose::SamePlace;
@@ -53,8 +53,7 @@ impl RobotNavigator {
                 return twist;
             }
             if turns_on {
-                active.next += 1;
-                active.progress.restart(now);
+                active.take_next_pose(now, false);
                 return twist;
             }
         }
