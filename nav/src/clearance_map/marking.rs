@@ -5,25 +5,27 @@ use crate::geometry::distance_m;
 use msg::grid::Occupancy;
 
 impl ClearanceMap {
-    /// Marks the cells whose centres lie in a polygon as occupied; its corners are in order, in the map's frame.
+    /// Marks every cell that has a part of a polygon as occupied, however thin it is; its corners are in order, in the map's frame.
     pub(crate) fn mark_polygon_occupied(&mut self, corners_m: &[[f64; 2]]) {
-        let corners: Vec<[f64; 2]> = corners_m
-            .iter()
-            .map(|corner| self.window_from_map.apply(*corner).map(|v| v / self.cell_size_m))
-            .collect();
-        let span = |axis: usize, size: i64| {
-            let values = || corners.iter().map(|corner| corner[axis]);
-            let low = values().fold(f64::INFINITY, f64::min).floor().max(0.0);
-            let high = values().fold(f64::NEG_INFINITY, f64::max).ceil().min(size as f64);
-            low as i64..high as i64
-        };
-        for y in span(1, self.height) {
-            for x in span(0, self.width) {
-                if is_inside([x as f64 + 0.5, y as f64 + 0.5], &corners) {
-                    let cell = self.index(x, y);
-                    self.occupancy[cell] = Occupancy::Occupied;
-                }
-            }
+        let corners: Vec<[f64; 2]> = corners_m.iter().map(|corner| self.in_cells(*corner)).collect();
+        let (size, occupancy) = ((self.width, self.height), &mut self.occupancy);
+        for_each_cell_near(&corners, size, 0.0, |cell| occupancy[cell] = Occupancy::Occupied);
+    }
+
+    /// Sets for each cell whether its centre lies in one of the polygons, or nearer than `clearance_m` to a cell that has a part of
+    /// one: no robot that needs this clearance may be there.
+    pub(crate) fn mark_near_polygons(
+        &self,
+        polygons_m: &[Vec<[f64; 2]>],
+        clearance_m: f64,
+        is_near: &mut Vec<bool>,
+    ) {
+        is_near.clear();
+        is_near.resize(self.cell_count(), false);
+        for polygon_m in polygons_m {
+            let corners: Vec<[f64; 2]> = polygon_m.iter().map(|corner| self.in_cells(*corner)).collect();
+            let reach = clearance_m / self.cell_size_m;
+            for_each_cell_near(&corners, (self.width, self.height), reach, |cell| is_near[cell] = true);
         }
     }
 
@@ -69,6 +71,80 @@ impl ClearanceMap {
     }
 }
 
+/// Longest step along a side, in cells: no cell that a side crosses by more than a corner is left out.
+const STEP_CELLS: f64 = 0.25;
+/// Largest distance of a point of a cell from its centre, in cells.
+const HALF_DIAGONAL_CELLS: f64 = core::f64::consts::FRAC_1_SQRT_2;
+
+/// Calls `mark` with every cell of a grid whose centre is in a polygon or that a side crosses, and, with a `reach` in cells, with those
+/// whose centres are nearer than it to such a cell. Cells come more than once.
+fn for_each_cell_near(
+    corners: &[[f64; 2]],
+    (width, height): (i64, i64),
+    reach: f64,
+    mut mark: impl FnMut(usize),
+) {
+    let mut mark_cell = |x: i64, y: i64| {
+        if (0..width).contains(&x) && (0..height).contains(&y) {
+            mark((y * width + x) as usize);
+        }
+    };
+    let sides = || corners.iter().zip(corners.iter().cycle().skip(1)).map(|(a, b)| (*a, *b));
+    let mut crossings = Vec::with_capacity(corners.len());
+    for y in 0..height {
+        let centre = y as f64 + 0.5;
+        let crosses = sides().filter(|(a, b)| (a[1] > centre) != (b[1] > centre));
+        crossings.clear();
+        crossings.extend(crosses.map(|(a, b)| a[0] + (b[0] - a[0]) * (centre - a[1]) / (b[1] - a[1])));
+        crossings.sort_by(f64::total_cmp);
+        for pair in crossings.chunks_exact(2) {
+            let [from, to] = [pair[0], pair[1]].map(|x| (x - 0.5).ceil().clamp(0.0, width as f64) as i64);
+            (from..to).for_each(|x| mark_cell(x, y));
+        }
+    }
+    // A cell is near if the side passes its centre within the reach and the half of a crossed cell's diagonal.
+    let (step, radius) =
+        if reach > 0.0 { (1.0, reach + HALF_DIAGONAL_CELLS + 0.5) } else { (STEP_CELLS, 0.0) };
+    for (a, b) in sides() {
+        let Some((from, to)) = clip(a, b, [width as f64, height as f64], radius + 1.0) else { continue };
+        let length = (b[0] - a[0]).hypot(b[1] - a[1]);
+        let steps = ((to - from) * length / step).ceil().max(1.0) as usize;
+        for i in 0..=steps {
+            let t = from + (to - from) * i as f64 / steps as f64;
+            let [x, y] = [0, 1].map(|axis| a[axis] + t * (b[axis] - a[axis]));
+            if radius == 0.0 {
+                mark_cell(x.floor() as i64, y.floor() as i64);
+                continue;
+            }
+            let span = |v: f64| (v - radius).floor() as i64..=(v + radius).ceil() as i64;
+            for v in span(y) {
+                let near = span(x).filter(|u| (*u as f64 + 0.5 - x).hypot(v as f64 + 0.5 - y) <= radius);
+                near.for_each(|u| mark_cell(u, v));
+            }
+        }
+    }
+}
+
+/// Part of a side within a distance of a rectangle from the origin, as shares of its length (Liang and Barsky 1984); `None` if there is
+/// none. Zones may be many kilometres away.
+fn clip(a: [f64; 2], b: [f64; 2], size: [f64; 2], beyond: f64) -> Option<(f64, f64)> {
+    let (mut from, mut to) = (0.0f64, 1.0f64);
+    for axis in 0..2 {
+        let along = b[axis] - a[axis];
+        let (low, high) = (-beyond - a[axis], size[axis] + beyond - a[axis]);
+        if along == 0.0 {
+            if low > 0.0 || high < 0.0 {
+                return None;
+            }
+            continue;
+        }
+        let (first, last) = (low / along, high / along);
+        from = from.max(first.min(last));
+        to = to.min(first.max(last));
+    }
+    (from <= to).then_some((from, to))
+}
+
 /// Whether a point lies in a polygon: a ray from it crosses the polygon's sides an odd number of times.
 pub(crate) fn is_inside([x, y]: [f64; 2], corners: &[[f64; 2]]) -> bool {
     let next = corners.iter().cycle().skip(1);
@@ -76,4 +152,81 @@ pub(crate) fn is_inside([x, y]: [f64; 2], corners: &[[f64; 2]]) -> bool {
         (*ay > y) != (*by > y) && x < (bx - ax) * (y - ay) / (by - ay) + ax
     };
     corners.iter().zip(next).filter(|side| crosses(*side)).count() % 2 == 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observation::MapView;
+    use crate::random::RandomNumbers;
+    use msg::Pose2;
+
+    const SIZE: u32 = 60;
+    const CELL_M: f64 = 0.05;
+
+    fn free_map() -> ClearanceMap {
+        let free = vec![0; (SIZE * SIZE) as usize];
+        let mut map = ClearanceMap::default();
+        let view = MapView::from_percent(Pose2::new(-0.4, 0.3, 0.5), CELL_M, (SIZE, SIZE), &free).unwrap();
+        map.copy_window(&view, [0.0, 0.0]);
+        map
+    }
+
+    fn random_m(random: &mut RandomNumbers, span_m: f64) -> f64 {
+        (random.index_below(10_000) as f64 / 10_000.0 - 0.5) * span_m
+    }
+
+    /// Zones of any shape and width: what a robot could pass on one side of it or the other, it must not cross.
+    #[test]
+    fn every_point_of_a_zone_is_in_a_marked_cell_and_far_ones_are_free() {
+        for seed in 0..300 {
+            let mut random = RandomNumbers::new(seed);
+            // Every third zone is thinner than a cell, some begin far outside of the map.
+            let span_m = if seed % 7 == 0 { 4000.0 } else { 4.0 };
+            let width_m = [0.001, 0.03, 1.5][(seed % 3) as usize];
+            let a = [random_m(&mut random, span_m), random_m(&mut random, span_m)];
+            let b = [random_m(&mut random, span_m), random_m(&mut random, span_m)];
+            let length_m = distance_m(a, b).max(0.01);
+            let side = [-(b[1] - a[1]), b[0] - a[0]].map(|v| v / length_m * width_m);
+            let zone = [a, b, [b[0] + side[0], b[1] + side[1]], [a[0] + side[0], a[1] + side[1]]];
+            let mut map = free_map();
+            map.mark_polygon_occupied(&zone);
+            let mut is_near = Vec::new();
+            map.mark_near_polygons(&[zone.to_vec()], 0.19, &mut is_near);
+            for i in 0..=2000 {
+                let t = i as f64 / 2000.0;
+                let at_m = [0, 1].map(|axis| a[axis] + t * (b[axis] - a[axis]) + 0.5 * side[axis]);
+                if let Some(cell) = map.cell_at(at_m) {
+                    assert!(is_near[cell], "seed {seed}: {at_m:?} of {zone:?}");
+                    let beside = width_m < CELL_M && map.is_occupied_near(at_m, 1);
+                    assert!(beside || map.occupancy(cell) == Occupancy::Occupied, "seed {seed}: {at_m:?}");
+                }
+            }
+            for cell in 0..map.cell_count() {
+                let centre_m = map.cell_centre_m(cell);
+                let is_in = is_inside(centre_m, &zone);
+                if map.occupancy(cell) == Occupancy::Occupied {
+                    assert!(
+                        is_in || off_m(centre_m, &zone) < CELL_M,
+                        "seed {seed}: {centre_m:?} of {zone:?}"
+                    );
+                }
+                assert!(!is_in || map.occupancy(cell) == Occupancy::Occupied, "seed {seed}: {centre_m:?}");
+                assert!(!is_near[cell] || is_in || off_m(centre_m, &zone) < 0.19 + 2.0 * CELL_M);
+                assert!(is_near[cell] || off_m(centre_m, &zone) > 0.19);
+            }
+        }
+    }
+
+    /// Distance of a point from the nearest side.
+    fn off_m(point: [f64; 2], corners: &[[f64; 2]]) -> f64 {
+        let sides = corners.iter().zip(corners.iter().cycle().skip(1));
+        let off = |(a, b): (&[f64; 2], &[f64; 2])| {
+            let (along, to) = ([b[0] - a[0], b[1] - a[1]], [point[0] - a[0], point[1] - a[1]]);
+            let t = (along[0] * to[0] + along[1] * to[1]) / (along[0] * along[0] + along[1] * along[1]);
+            let t = t.clamp(0.0, 1.0);
+            (to[0] - t * along[0]).hypot(to[1] - t * along[1])
+        };
+        sides.map(off).fold(f64::INFINITY, f64::min)
+    }
 }

@@ -1,7 +1,6 @@
 //! One plan of the coordinator: viewpoints, tours, and the goals that follow.
 
 use super::coarse::{CoarseMap, UNREACHED};
-use super::excluded::is_excluded;
 use super::floor::Floor;
 use super::types::{
     CoordinationInput, CoordinationPhase, GoalPurpose, RobotAvailability, RobotGoal, TimeEstimate,
@@ -44,6 +43,8 @@ pub(super) struct PlanBuffers {
     pub(super) costs: Vec<u32>,
     /// Cells that were looked at in vain.
     given_up: Vec<bool>,
+    /// Cells from which robots are kept out, with the clearance that they need from them.
+    is_excluded: Vec<bool>,
 }
 
 impl PlanBuffers {
@@ -118,7 +119,9 @@ impl FleetCoordinator {
     fn search_robot_routes(&mut self, input: &CoordinationInput) {
         let clearance_min_m = self.clearance_min_m();
         let Self { map, buffers, config, .. } = self;
-        let is_excluded = |cell: usize| is_excluded(map, input.excluded, cell);
+        // As navigation has it: a zone is an obstacle, from which routes keep their clearance.
+        map.mark_near_polygons(input.excluded, clearance_min_m, &mut buffers.is_excluded);
+        let is_excluded = |cell: usize| buffers.is_excluded[cell];
         let free = input.robots.iter().filter(|robot| robot.availability == RobotAvailability::Free);
         let poses = free.filter_map(|robot| robot.map_from_base.filter(|pose| pose.is_finite()));
         let places_m = poses.map(|pose| [pose.x_m, pose.y_m]);
@@ -167,7 +170,7 @@ impl FleetCoordinator {
             let here = robot.map_from_base.map(|pose| [pose.x_m, pose.y_m]);
             let goal =
                 goals[robot.robot.index()].as_ref().filter(|goal| goal.purpose == GoalPurpose::Explore);
-            let is_out = |cell: &usize| is_excluded(map, input.excluded, *cell);
+            let is_out = |cell: &usize| buffers.is_excluded[*cell];
             let here = here.and_then(|at_m| map.cell_at(at_m)).filter(|cell| !is_out(cell));
             let goal =
                 goal.and_then(|goal| map.cell_at(goal.position_m)).filter(|cell| floor.is_reached(*cell));
