@@ -32,6 +32,8 @@ struct ExploredMap {
     known_m2: f64,
     /// Whether persons have all its robots.
     is_manual: bool,
+    /// Whether a robot is in it now: robots whose maps were merged may be separated again.
+    is_in_use: bool,
 }
 
 /// Exploration of a fleet by a [`FleetNavigator`].
@@ -74,6 +76,8 @@ pub struct FleetExploration {
     /// Robots that persons drive, have stopped or sent somewhere.
     manual: [bool; ROBOTS_MAX],
     availability: [Option<RobotAvailability>; ROBOTS_MAX],
+    /// Since when a robot is lost or silent.
+    absent_since: [Option<Stamp>; ROBOTS_MAX],
     lost: LostRobots,
     revisits: [Revisits; ROBOTS_MAX],
     phase: CoordinationPhase,
@@ -90,6 +94,7 @@ impl FleetExploration {
             homes: [None; ROBOTS_MAX],
             manual: [false; ROBOTS_MAX],
             availability: [None; ROBOTS_MAX],
+            absent_since: [None; ROBOTS_MAX],
             lost: LostRobots::default(),
             revisits: core::array::from_fn(|_| Revisits::default()),
             phase: CoordinationPhase::Exploring,
@@ -121,7 +126,7 @@ impl FleetExploration {
 
     /// Area that the maps show, square metres; `None` before the first map. Where unmerged maps overlap it counts more than once.
     pub fn known_m2(&self) -> Option<f64> {
-        (!self.maps.is_empty()).then(|| self.maps.iter().map(|map| map.known_m2).sum())
+        (!self.maps.is_empty()).then(|| self.maps_in_use().map(|map| map.known_m2).sum())
     }
 
     /// What is unknown beside known free space, and why no robot goes there.
@@ -130,7 +135,11 @@ impl FleetExploration {
             let robot = map.robot;
             map.coordinator.leftovers().into_iter().map(move |leftover| FoundLeftover { robot, leftover })
         };
-        self.maps.iter().flat_map(of).collect()
+        self.maps_in_use().flat_map(of).collect()
+    }
+
+    fn maps_in_use(&self) -> impl Iterator<Item = &ExploredMap> {
+        self.maps.iter().filter(|map| map.is_in_use)
     }
 
     /// What a robot was at the last step; `None` before the first.
@@ -190,6 +199,10 @@ impl FleetExploration {
             let is_of = |robot: &&NavigatedRobot| map.robot == Some(robot.observation.robot);
             input.robots.iter().find(is_of).is_none_or(|robot| !merged(robot))
         });
+        let is_any_merged = input.robots.iter().any(merged);
+        for map in self.maps.iter_mut().filter(|map| map.robot.is_none()) {
+            map.is_in_use = is_any_merged;
+        }
         let in_merged: Vec<CoordinatedRobot> = input
             .robots
             .iter()
@@ -236,6 +249,9 @@ impl FleetExploration {
         let progress = sent.map_or(GoalProgress::Idle, |(sent, state)| sent.progress(input.stamp, state));
         let availability = self.revisit(input, robot, robot_map_from_base, (availability, progress));
         self.availability[id.index()] = Some(availability);
+        let is_absent = matches!(availability, RobotAvailability::Lost | RobotAvailability::Silent);
+        let since = &mut self.absent_since[id.index()];
+        *since = is_absent.then(|| since.unwrap_or(input.stamp));
         let home = map_from_robot_map.zip(self.homes[id.index()]).map(|(map, home)| map * home);
         CoordinatedRobot { robot: id, map_from_base: pose, home, availability, progress }
     }
@@ -252,7 +268,14 @@ impl FleetExploration {
         let index = self.maps.iter().position(|map| map.robot == of).unwrap_or_else(|| {
             let coordinator = FleetCoordinator::new(self.config);
             let able_at = input.stamp;
-            self.maps.push(ExploredMap { robot: of, coordinator, able_at, known_m2: 0.0, is_manual: false });
+            self.maps.push(ExploredMap {
+                robot: of,
+                coordinator,
+                able_at,
+                known_m2: 0.0,
+                is_manual: false,
+                is_in_use: true,
+            });
             self.maps.len() - 1
         });
         // Zones are in the merged map; where they lie in another one is not known.
@@ -301,16 +324,32 @@ impl FleetExploration {
     /// Decides what the fleet as a whole does, and whether the exploration is over.
     fn conclude(&mut self, now: Stamp) {
         let is_able = |map: &&ExploredMap| !map.is_manual && now - map.able_at < PATIENCE_S;
-        let phase = self.maps.iter().filter(is_able).map(|map| map.coordinator.phase()).min();
+        let phase = self.maps_in_use().filter(is_able).map(|map| map.coordinator.phase()).min();
         match phase {
             Some(phase) => self.phase = phase,
-            None if self.maps.is_empty() || self.maps.iter().any(|map| map.is_manual) => {}
+            None if self.maps.is_empty() || self.maps_in_use().any(|map| map.is_manual) => {}
             None => self.end = Some(ExplorationEnd::NoRobot),
         }
-        if phase == Some(CoordinationPhase::Done) {
-            let is_whole = self.maps.iter().all(|map| map.coordinator.covers_map());
-            self.end = Some(if is_whole { ExplorationEnd::Completed } else { ExplorationEnd::MapTooLarge });
+        if phase == Some(CoordinationPhase::Done) && !self.awaits_robot(now) {
+            let is_whole = self.maps_in_use().all(|map| map.coordinator.covers_map());
+            let took_too_long = self.maps_in_use().any(|map| map.coordinator.took_too_long());
+            self.end = Some(match (is_whole, took_too_long) {
+                (false, _) => ExplorationEnd::MapTooLarge,
+                (true, true) => ExplorationEnd::TookTooLong,
+                (true, false) => ExplorationEnd::Completed,
+            });
         }
+    }
+
+    /// Whether a robot that may go on soon is lost or silent, looks for its place or is on its way to one that it knows: what it alone
+    /// reaches is not explored.
+    fn awaits_robot(&self, now: Stamp) -> bool {
+        RobotId::first(ROBOTS_MAX).any(|robot| {
+            let is_absent_for_now =
+                self.absent_since[robot.index()].is_some_and(|since| now - since < PATIENCE_S);
+            let is_revisiting = self.availability(robot) == Some(RobotAvailability::Revisiting);
+            is_absent_for_now || is_revisiting || self.lost.is_searching(robot)
+        })
     }
 
     /// Cancels all goals that were sent: exploration ends here.

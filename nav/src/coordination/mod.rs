@@ -102,6 +102,8 @@ pub struct FleetCoordinator {
     planned_at: Option<Stamp>,
     plans: u32,
     estimate: Option<TimeEstimate>,
+    /// Whether the last plan left viewpoints because robots drove for a long time in vain.
+    took_too_long: bool,
 }
 
 /// Look around of a robot at its goal.
@@ -146,6 +148,7 @@ impl FleetCoordinator {
             planned_at: None,
             plans: 0,
             estimate: None,
+            took_too_long: false,
         }
     }
 
@@ -207,6 +210,11 @@ impl FleetCoordinator {
     pub fn leftovers(&self) -> Vec<Leftover> {
         let exhaustion = self.known_area.exhaustion();
         leftovers::find(&self.map, &self.buffers, &self.unseen, exhaustion, self.clearance_min_m())
+    }
+
+    /// Whether the last plan left what robots could reach because they drove for a long time and have seen nothing more.
+    pub fn took_too_long(&self) -> bool {
+        self.took_too_long
     }
 
     /// Whether the last plan was made on the whole map, and not on the part around the robots.

@@ -2,6 +2,7 @@
 
 use super::coarse::{CoarseMap, UNREACHED};
 use super::floor::Floor;
+use super::growth::Exhaustion;
 use super::types::{
     CoordinationInput, CoordinationPhase, GoalPurpose, RobotAvailability, RobotGoal, TimeEstimate,
 };
@@ -103,7 +104,11 @@ impl FleetCoordinator {
         // A map that is merged late, or a robot that is given back, may open what was unreachable.
         let is_exploring = self.phase == CoordinationPhase::Exploring;
         self.find_viewpoints(input, is_exploring.then_some(known_m2));
-        if !self.buffers.viewpoints.is_empty() && self.known_area.exhaustion().is_none() {
+        let exhaustion = self.known_area.exhaustion();
+        if is_exploring {
+            self.took_too_long = !self.buffers.viewpoints.is_empty() && exhaustion == Some(Exhaustion::Time);
+        }
+        if !self.buffers.viewpoints.is_empty() && exhaustion.is_none() {
             self.phase = CoordinationPhase::Exploring;
             return self.assign(input);
         }

@@ -71,6 +71,8 @@ pub struct CoordinatedRobot {
 pub enum ExplorationEnd {
     /// Nothing reachable is unknown, and the robots are back.
     Completed,
+    /// Something that robots could reach is left: they drove for a long time and have seen nothing more. They are back.
+    TookTooLong,
     /// All robots are lost, silent, in exclusion zones or surrounded by obstacles.
     NoRobot,
     /// Nothing reachable is unknown in the part of the map around the robots; the map is larger than what is planned on.

@@ -17,6 +17,7 @@ const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 const ALL_TAKEN: &str = "persons, the base or the emergency stop have all robots; release the stop if it is set, then resume or explore again";
 const MAP_TOO_LARGE: &str =
     "the map is larger than the 51 m on which exploration plans; what lies farther away was not looked at";
+const TOOK_TOO_LONG: &str = "something within reach is left: robots drove for a long time and saw nothing more; see what is left, and explore again";
 const STOPPED: &str = "stopped on demand";
 
 /// Exploration of the fleet, with its channels.
@@ -153,6 +154,9 @@ impl<P: Ports> Exploration<P> {
             }
             Some(ExplorationEnd::MapTooLarge) => {
                 self.end(navigator, ExplorationStatus::Failed, MAP_TOO_LARGE.into());
+            }
+            Some(ExplorationEnd::TookTooLong) => {
+                self.end(navigator, ExplorationStatus::Failed, TOOK_TOO_LONG.into());
             }
             Some(ExplorationEnd::NoRobot) => {
                 let reason = absent::no_robot(&self.parts());

@@ -176,3 +176,47 @@ fn a_robot_beyond_the_map_is_said_to_reach_no_floor() {
     let availability = exploration.availability(robots[1].observation.robot);
     assert_eq!(availability, Some(RobotAvailability::Enclosed));
 }
+
+/// Robots of which one is absent for some time, in a room of which nothing is unknown: when exploration ends, and how.
+fn end_with_absence(seconds: f64, is_silent: bool) -> (f64, ExplorationEnd) {
+    let walls = |i: usize| i % 160 == 0 || i % 160 == 159 || i < 160 || i >= 79 * 160;
+    let cells: Vec<i8> = (0..160 * 80).map(|i| if walls(i) { 100 } else { 0 }).collect();
+    let mut robots = robots(&cells, 2);
+    let (absent, pose) = (robots[1].observation.robot, robots[1].observation.map_from_base);
+    let mut navigator = FleetNavigator::new(NavigatorConfig::default());
+    let mut exploration = FleetExploration::new(CoordinationConfig::default());
+    for tick in 0..2000 {
+        let at_s = 0.1 * f64::from(tick);
+        let stamp = Stamp::from_seconds(at_s);
+        let is_absent = at_s < seconds;
+        robots[1].observation.map_from_base = pose.filter(|_| is_silent || !is_absent);
+        for robot in &mut robots {
+            robot.observation.scan.as_mut().unwrap().received = stamp;
+        }
+        let input = NavigationInput { stamp, robots: &robots, exclusion_zones: &[] };
+        exploration.step(&mut navigator, &input, &|robot| is_silent && is_absent && robot == absent);
+        navigator.step(&input);
+        if let Some(end) = exploration.end() {
+            return (at_s, end);
+        }
+    }
+    panic!("exploration has no end");
+}
+
+#[test]
+fn exploration_waits_for_a_robot_that_is_lost_or_silent_for_a_moment() {
+    let (at_once_s, end) = end_with_absence(0.0, false);
+    assert!(at_once_s < 5.0 && end == ExplorationEnd::Completed, "{at_once_s} s: {end:?}");
+    for is_silent in [false, true] {
+        // One that stays lost looks for its place from 10 s on.
+        for absent_s in [2.0, 8.0, 30.0] {
+            let (at_s, end) = end_with_absence(absent_s, is_silent);
+            assert!((absent_s..absent_s + 10.0).contains(&at_s), "{absent_s} s absent: {at_s} s");
+            assert_eq!(end, ExplorationEnd::Completed);
+        }
+    }
+    let (at_s, end) = end_with_absence(1000.0, true);
+    assert!((60.0..65.0).contains(&at_s) && end == ExplorationEnd::Completed, "{at_s} s: {end:?}");
+    let (at_s, _) = end_with_absence(1000.0, false);
+    assert!((130.0..140.0).contains(&at_s), "its search takes two minutes: {at_s} s");
+}
