@@ -257,8 +257,12 @@ impl FleetNavigator {
         let mut reservations = Vec::new();
         // Robots that cannot drive stand in everybody's way; so they come first.
         for navigator in self.robots.iter().filter(|navigator| navigator.state().is_active()) {
-            let stands = !navigator.has_routes() || navigator.is_recovering();
-            let at_m = find(input, navigator.robot).and_then(NavigatedRobot::position_m);
+            let robot = find(input, navigator.robot);
+            // One whose poses or scans have ended gets no new routes, and does not follow those that it has.
+            let can_drive =
+                robot.is_some_and(|it| it.poses().is_some() && it.fresh_scan(input.stamp).is_some());
+            let stands = !can_drive || !navigator.has_routes() || navigator.is_recovering();
+            let at_m = robot.and_then(NavigatedRobot::position_m);
             if let Some(at_m) = at_m.filter(|_| stands) {
                 reservations.push(Reservation { robot: navigator.robot, positions_m: vec![at_m] });
             }
@@ -267,8 +271,9 @@ impl FleetNavigator {
         for i in order {
             let navigator = &mut self.robots[i];
             let Some(robot) = find(input, navigator.robot) else { continue };
-            let drives =
-                navigator.state().is_active() && navigator.has_routes() && !navigator.is_recovering();
+            let can_drive = robot.fresh_scan(input.stamp).is_some();
+            let has_way = navigator.has_routes() && !navigator.is_recovering();
+            let drives = navigator.state().is_active() && has_way && can_drive;
             let Some(poses) = robot.poses().filter(|_| drives) else { continue };
             let in_merged_map = robot.observation.in_merged_map;
             let reserved: &[Reservation] = if in_merged_map { &reservations } else { &[] };

@@ -27,6 +27,8 @@ pub(super) struct Drive {
     /// Whether the robots know where they are.
     pub(super) knows_poses: bool,
     pub(super) zones: Vec<ExclusionZone>,
+    /// Index of a robot that is dead: its poses and scans are those of that moment.
+    pub(super) dead: Option<(usize, Stamp)>,
 }
 
 impl Drive {
@@ -40,6 +42,7 @@ impl Drive {
             in_merged_map: true,
             knows_poses: true,
             zones: Vec::new(),
+            dead: None,
         }
     }
 
@@ -62,6 +65,8 @@ impl Drive {
             self.world.scan_and_map();
         }
         let now = self.now();
+        let dead = self.dead;
+        let died_at = |index: usize| dead.filter(|(robot, _)| *robot == index).map(|(_, at)| at);
         let mut map = self.world.known_map().clone();
         map.header.origin = self.map_from_world * self.map_error * map.header.origin;
         let view = MapView::from_log_odds(map.view());
@@ -72,10 +77,10 @@ impl Drive {
                     map: view,
                     in_merged_map: self.in_merged_map,
                     map_from_base: self.knows_poses.then(|| self.map_from_world * self.world.pose(i)),
-                    scan: Some(scan(&self.world, i, now)),
+                    scan: Some(scan(&self.world, i, died_at(i).unwrap_or(now))),
                 },
                 // The frame of the wheels lies anywhere.
-                odom_from_base: Some(Pose2::new(1.0, -2.0, 0.7) * self.world.pose(i)),
+                odom_from_base: died_at(i).is_none().then(|| Pose2::new(1.0, -2.0, 0.7) * self.world.pose(i)),
                 map_from_robot_map: None,
                 uncertainty: None,
             })

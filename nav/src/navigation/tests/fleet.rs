@@ -220,6 +220,30 @@ fn a_robot_that_is_dead_in_a_doorway_is_reported_within_half_a_minute() {
 }
 
 #[test]
+fn a_robot_that_dies_on_its_way_through_a_door_is_an_obstacle() {
+    let run = |seed| {
+        let mut random = RandomNumbers::new(seed);
+        let starts = [
+            Pose2::new(1.2, 2.0 + jitter(&mut random, 0.8), jitter(&mut random, PI)),
+            Pose2::new(2.3, 2.0 + jitter(&mut random, 0.1), jitter(&mut random, 0.1)),
+        ];
+        let mut drive = Drive::new(TestWorld::with_room(Room::with_door(0.7), &starts));
+        // The one that dies has routes, and goes first.
+        drive.go(2, [4.6, 2.0]);
+        drive.run_until(20.0, |drive| drive.world.pose(1).x_m > 2.95).expect("it drives through the door");
+        drive.dead = Some((1, drive.now()));
+        drive.go(1, [4.6, 2.2]);
+        let is_said = |drive: &Drive| {
+            let is_over = matches!(drive.state(1), NavigationState::Blocked(_) | NavigationState::Failed(_));
+            is_over || drive.state(1) == NavigationState::WaitingForRobot(super::id(2))
+        };
+        assert!(drive.run_until(REPORT_MAX_S, is_said).is_some(), "seed {seed}: {:?}", drive.state(1));
+        run_to_the_end(&mut drive, seed)
+    };
+    assert_eq!(run_seeds("robot that dies in a doorway on its way: reported", run), 0);
+}
+
+#[test]
 fn a_person_who_stands_in_the_way_is_driven_around_or_reported() {
     let run = |seed| {
         let mut random = RandomNumbers::new(seed);
