@@ -291,9 +291,10 @@ impl Core {
 
     /// Sets the emergency stop: every robot stops, and stays stopped until it is released.
     pub fn set_emergency_stop(&mut self) {
+        if !self.gate.drive().is_stopped() {
+            self.pause_all_navigation(PauseReason::EmergencyStop);
+        }
         self.gate.set_stopped(true);
-        let robots: Vec<RobotId> = self.fleet.robots().collect();
-        self.pause_navigation_because(robots, PauseReason::EmergencyStop);
         self.commands.push_operator_event(OperatorAction::Stop, None);
         self.send_velocities();
         self.publish_stop();

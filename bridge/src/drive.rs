@@ -18,7 +18,7 @@ pub struct DriveClient {
 
 impl DriveClient {
     /// Returns whether `other` may use this driver's lease: the same connection, or the same address after a restart.
-    fn is_same(&self, other: &Self) -> bool {
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
         match self.client {
             Some(client) => other.client == Some(client),
             None => self.address == other.address,
@@ -53,6 +53,8 @@ struct RobotDrive {
     is_navigated: bool,
     /// Whether the robot takes part in the fleet's exploration.
     is_exploring: bool,
+    /// Whether the navigator was told to drive the robot and has not said that it does.
+    is_to_be_navigated: bool,
 }
 
 impl RobotDrive {
@@ -206,14 +208,35 @@ impl DriveArbiter {
         self.robots[robot.index()].is_exploring
     }
 
+    /// Returns whether the navigator drives a robot, or will when it has read what it was told: it may hang or be starting again.
+    pub fn is_or_will_be_navigated(&self, robot: RobotId) -> bool {
+        let state = &self.robots[robot.index()];
+        state.is_navigated || state.is_exploring || state.is_to_be_navigated
+    }
+
+    /// Records that the navigator was told to drive a robot.
+    pub fn expect_navigation(&mut self, robot: RobotId) {
+        self.robots[robot.index()].is_to_be_navigated = true;
+    }
+
+    /// Records that the navigator was told to leave a robot to people.
+    pub fn end_navigation(&mut self, robot: RobotId) {
+        let state = &mut self.robots[robot.index()];
+        (state.is_navigated, state.is_exploring, state.is_to_be_navigated) = (false, false, false);
+    }
+
     /// Records whether a robot takes part in the exploration. It does so between two goals too.
     pub fn set_exploring(&mut self, robot: RobotId, is_exploring: bool) {
-        self.robots[robot.index()].is_exploring = is_exploring;
+        let state = &mut self.robots[robot.index()];
+        state.is_exploring = is_exploring;
+        state.is_to_be_navigated &= !is_exploring;
     }
 
     /// Records whether the navigator drives a robot to a goal.
     pub fn set_navigated(&mut self, robot: RobotId, is_navigated: bool) {
-        self.robots[robot.index()].is_navigated = is_navigated;
+        let state = &mut self.robots[robot.index()];
+        state.is_navigated = is_navigated;
+        state.is_to_be_navigated &= !is_navigated;
     }
 
     /// Gives the lease of a robot to a driver; returns the other one that held it.

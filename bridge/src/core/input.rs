@@ -351,7 +351,9 @@ impl Core {
             Int32(0) => self.fleet.robots().collect(),
             number => vec![self.robot_numbered(number)?],
         };
+        self.commands.record_time(now);
         for robot in robots {
+            self.pause_navigation([robot]);
             let before = self.gate.take_control(self.driver(id), robot, now);
             self.send_velocities();
             self.commands.push_operator_event(OperatorAction::TakeControl, Some(robot));

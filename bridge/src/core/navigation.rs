@@ -190,6 +190,7 @@ impl Core {
         let frame = self.navigation_frame(frame)?;
         let number = self.commands.next_navigation_number();
         self.commands.push_navigation(robot, NavigationCommand::goal(number, frame, &poses));
+        self.gate.drive_mut().expect_navigation(robot);
         self.offered.actions.replace(robot, number, now);
         Ok(number)
     }
@@ -229,6 +230,9 @@ impl Core {
         }
         self.commands.record_time(now);
         self.command_navigation(robot, action);
+        if action == NavigationAction::Resume {
+            self.gate.drive_mut().expect_navigation(robot);
+        }
         Ok(())
     }
 
@@ -244,14 +248,23 @@ impl Core {
         reason: PauseReason,
     ) {
         for robot in robots {
-            let drive = self.gate.drive_mut();
-            if drive.is_navigated(robot) || drive.is_exploring(robot) {
-                drive.set_navigated(robot, false);
-                drive.set_exploring(robot, false);
-                let number = self.commands.next_navigation_number();
-                self.commands.push_navigation(robot, NavigationCommand::pause(number, reason));
+            if self.gate.drive().is_or_will_be_navigated(robot) {
+                self.push_pause(robot, reason);
             }
         }
+    }
+
+    /// Pauses the navigation of all robots, those included of which this bridge does not know that somebody has sent them: a command
+    /// line tells the navigator itself, which may hang or be starting again.
+    pub(super) fn pause_all_navigation(&mut self, reason: PauseReason) {
+        let robots: Vec<RobotId> = self.fleet.robots().collect();
+        robots.into_iter().for_each(|robot| self.push_pause(robot, reason));
+    }
+
+    fn push_pause(&mut self, robot: RobotId, reason: PauseReason) {
+        self.gate.drive_mut().end_navigation(robot);
+        let number = self.commands.next_navigation_number();
+        self.commands.push_navigation(robot, NavigationCommand::pause(number, reason));
     }
 
     /// Pauses the robots that drive to goals of an address, and those that explore because of it.
@@ -365,6 +378,10 @@ impl Core {
         let number = self.commands.next_navigation_number();
         let action = if starts { ExplorationAction::Start } else { ExplorationAction::Stop };
         self.commands.set_exploration(ExplorationCommand::new(number, action));
+        if starts {
+            let robots: Vec<RobotId> = self.fleet.robots().collect();
+            robots.into_iter().for_each(|robot| self.gate.drive_mut().expect_navigation(robot));
+        }
         Ok(())
     }
 }

@@ -205,11 +205,14 @@ impl VelocityGate {
         GateDecision::Passed(velocity)
     }
 
-    /// Gives a robot to a driver and stops it; returns the other client that drove it.
+    /// Gives a robot to a driver; returns the other client that drove it. Whoever drove it, it stops, unless the driver had it already.
     pub fn take_control(&mut self, driver: DriveClient, robot: RobotId, now: Monotonic) -> Option<ClientId> {
-        let before = self.drive.take_control(driver, robot, now)?;
-        self.stop(robot);
-        before.client
+        let had_it = self.drive.leaseholder(robot, now).is_some_and(|holder| holder.is_same(&driver));
+        let before = self.drive.take_control(driver, robot, now);
+        if !had_it {
+            self.stop(robot);
+        }
+        before?.client
     }
 
     /// Ends a client's leases, and stops the robots that it drove last.

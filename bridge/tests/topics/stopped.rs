@@ -1,7 +1,7 @@
 //! Robots of the navigator under the emergency stop, and after the permission of who sent them was withdrawn.
 
 use crate::local::LocalClient;
-use bridge::ros::PoseStamped;
+use bridge::ros::{Bool, Int32, PoseStamped, Twist};
 use bridge::{Bridge, BridgeConfig, FleetMessage};
 use msg::{
     ExplorationReport, ExplorationStatus, ExplorerState, Monotonic, NavigationAction, NavigationReport,
@@ -34,7 +34,10 @@ fn report(status: NavigationStatus) -> NavigationReport {
 fn a_robot_that_gets_something_to_do_during_the_stop_is_paused() {
     let (bridge, commands) = bridge();
     bridge.restore_stop();
-    assert!(commands.borrow().is_empty(), "nobody has a goal");
+    let pauses = [robot(1), robot(2)].map(|robot| (robot, Some(NavigationAction::Pause)));
+    assert_eq!(commands.take(), pauses, "whoever else may have sent them");
+    bridge.restore_stop();
+    assert!(commands.borrow().is_empty(), "the stop is set already");
     let blocked = report(NavigationStatus::Blocked);
     bridge.publish(FleetMessage::NavigationState(robot(1), &blocked));
     assert_eq!(commands.take(), [(robot(1), Some(NavigationAction::Pause))]);
@@ -69,4 +72,48 @@ fn goals_of_a_client_that_is_denied_are_paused() {
     }
     bridge.deny([127, 0, 0, 1].into());
     assert_eq!(commands.take(), [(robot(1), Some(NavigationAction::Pause))], "robot 2 has another's goal");
+}
+
+/// Navigation hangs, or is starting again: it has not said that it drives, and reads all that waits later.
+#[test]
+fn what_navigation_has_not_read_yet_is_paused_by_a_stop_and_by_a_person() {
+    let goal =
+        || PoseStamped { frame_id: "map".into(), orientation: [0.0, 0.0, 0.0, 1.0], ..Default::default() };
+    let (taken, driven, stopped) = ("/take_control", "/robot1/cmd_vel", "/emergency_stop");
+    for by in [taken, driven, stopped] {
+        for explores in [false, true] {
+            let (bridge, commands) = bridge();
+            let client = LocalClient::connect(&bridge);
+            client.publish::<PoseStamped>("/robot1/goal_pose");
+            client.publish::<Bool>("/explore");
+            client.publish::<Int32>(taken);
+            client.publish::<Twist>(driven);
+            client.publish::<Bool>(stopped);
+            if explores {
+                client.send("/explore", &Bool(true), Monotonic(1));
+            } else {
+                client.send("/robot1/goal_pose", &goal(), Monotonic(1));
+            }
+            bridge.publish(FleetMessage::NavigationState(robot(1), &report(NavigationStatus::Idle)));
+            commands.take();
+            match by {
+                _ if by == taken => client.send(taken, &Int32(1), Monotonic(2)),
+                _ if by == driven => client.send(driven, &moving(), Monotonic(2)),
+                _ => client.send(stopped, &Bool(true), Monotonic(2)),
+            }
+            let paused = commands.take();
+            assert!(
+                paused.contains(&(robot(1), Some(NavigationAction::Pause))),
+                "{by}, {explores}: {paused:?}"
+            );
+            if by == driven {
+                client.send(driven, &moving(), Monotonic(3));
+                assert!(commands.borrow().is_empty(), "once is enough");
+            }
+        }
+    }
+}
+
+fn moving() -> Twist {
+    Twist { linear: [0.1, 0.0, 0.0], angular: [0.0; 3] }
 }
