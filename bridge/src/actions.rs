@@ -111,16 +111,18 @@ impl ActionServers {
 
     /// Ends goals that the navigator does not answer for, and forgets results that nobody asked for in time.
     ///
-    /// Returns the robots whose navigation must be cancelled: nobody may drive on to a goal that counts as given up.
-    pub fn tick(&mut self, now: Monotonic) -> Vec<RobotId> {
+    /// Returns the goals that the navigator must cancel, by robot and number: nobody may drive on to a goal that counts as given up.
+    pub fn tick(&mut self, now: Monotonic) -> Vec<(RobotId, u64)> {
         let mut abandoned = Vec::new();
         for server in &mut self.servers {
             if server.is_idle() {
                 continue;
             }
-            if server.active_mut().is_some_and(|goal| goal.end_if_silent(now)) {
+            let robot = server.robot();
+            let silent = server.active_mut().and_then(|goal| goal.end_if_silent(now).then(|| goal.number()));
+            if let Some(number) = silent {
                 server.status_changed();
-                abandoned.push(server.robot());
+                abandoned.push((robot, number));
             }
             server.forget_results(now);
         }

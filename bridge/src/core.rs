@@ -9,6 +9,7 @@ mod initial_pose;
 mod input;
 mod navigation;
 mod other_drivers;
+mod pauses;
 mod registration;
 mod relay;
 mod ros_refusals;

@@ -29,6 +29,7 @@ mod room_offer;
 mod router;
 mod server;
 mod services;
+pub mod silence;
 pub mod slam_services;
 mod teleop;
 mod transport;

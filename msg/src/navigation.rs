@@ -118,6 +118,8 @@ pub struct NavigationCommand {
     pub header: Header,
     /// Number of the command: its time on the machine's clock, nanoseconds. A later command has a larger one.
     pub number: u64,
+    /// Number of the goal that is cancelled; 0: whichever the robot has. Other actions have 0.
+    pub cancelled: u64,
     /// Code of a [`NavigationAction`].
     pub action: u32,
     /// Code of a [`NavigationFrame`].
@@ -146,6 +148,11 @@ impl NavigationCommand {
     /// A command without poses.
     pub fn new(number: u64, action: NavigationAction) -> Self {
         Self { number, action: action as u32, ..Self::default() }
+    }
+
+    /// A cancellation of the goal with a number, and of no goal that has taken its place.
+    pub fn cancel(number: u64, goal: u64) -> Self {
+        Self { cancelled: goal, ..Self::new(number, NavigationAction::Cancel) }
     }
 
     /// A pause with its reason.

@@ -125,6 +125,12 @@ impl FleetNavigator {
         self.of_or_new(robot).set_goal(now, goal);
     }
 
+    /// Gives a robot a goal whose first poses are behind it: it drives to the one with this index next, or to the last.
+    pub fn set_goal_from(&mut self, now: Stamp, robot: RobotId, goal: NavigationGoal, next_pose: usize) {
+        self.of_or_new(robot).set_goal(now, goal);
+        self.of(robot).for_each(|navigator| navigator.skip_to(next_pose));
+    }
+
     /// Cancels a robot's goal; the next step stops the robot.
     pub fn cancel(&mut self, robot: RobotId) {
         self.of(robot).for_each(|navigator| navigator.end(NavigationState::Cancelled));

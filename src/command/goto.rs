@@ -235,7 +235,8 @@ fn exchange(
         waiting.silence_to_tell(Instant::now()).iter().for_each(|text| output::note(text));
         waiting.check(run, is_alive, Instant::now())?;
         if stop.requested() {
-            let reason = cancel(states, commands).into();
+            let goal = if args.cancel { 0 } else { number };
+            let reason = cancel(goal, states, commands).into();
             return Err(GotoError::NotReached { robot, state: "was stopped", reason });
         }
         wait([], Monotonic(crate::clock::now().0 + POLL_NS));
@@ -243,8 +244,12 @@ fn exchange(
 }
 
 /// Cancels the goal after Ctrl-C; returns what became of it.
-fn cancel(states: &mut Reader<NavigationReport>, commands: &mut Writer<NavigationCommand>) -> &'static str {
-    let command = NavigationCommand::new(crate::clock::now().0, NavigationAction::Cancel);
+fn cancel(
+    goal: u64,
+    states: &mut Reader<NavigationReport>,
+    commands: &mut Writer<NavigationCommand>,
+) -> &'static str {
+    let command = NavigationCommand::cancel(crate::clock::now().0, goal);
     commands.send(&NavigationCommand { sender: CommandSource::LAPTOP, ..command });
     let is_over =
         |report: &NavigationReport| report.status().is_final() || report.status() == NavigationStatus::Idle;

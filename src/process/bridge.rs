@@ -7,7 +7,6 @@
 pub mod feeds;
 pub mod live;
 pub mod page;
-mod silence;
 
 pub use live::run;
 

@@ -3,6 +3,7 @@
 //! Its velocities go to the bridge, which passes them on like any client's and stops a robot 0.3 s after the last one.
 //! While no robot has a goal it reads no sensor, draws no plan and waits for the next command.
 
+mod commands;
 mod exploration;
 mod holds;
 mod inputs;
@@ -16,7 +17,7 @@ use super::scan_demand::ScanDemandSender;
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::clock::Epoch;
-use crate::ports::{Clock as _, Ports, ReadPort};
+use crate::ports::{Clock as _, Ports};
 use crate::progress::WatchedThread;
 use crate::realtime::lower_priority;
 use crate::run::Run;
@@ -27,11 +28,11 @@ use exploration::Exploration;
 use holds::Holds;
 use inputs::Inputs;
 use msg::{
-    Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, PauseReason, Pose2,
-    RobotId, Role, ScanPurpose,
+    Monotonic, NavigationCommand, NavigationFrame, NavigationPose, PauseReason, Pose2, RobotId, Role,
+    ScanPurpose,
 };
 use outputs::{Decision, RobotOutputs};
-use state_file::{NavigationFile, SavedGoal, SavedState, StateWriter};
+use state_file::{Found, NavigationFile, SavedGoal, SavedState, StateWriter};
 use std::time::Duration;
 use zones::Zones;
 
@@ -94,7 +95,8 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
         start_files: impl FnOnce(NavigationFile<S>) -> std::io::Result<W>,
     ) -> Result<Self, Error> {
         let file = NavigationFile::new(run, storage);
-        let saved = file.read();
+        let found = file.read();
+        let saved = if let Found::State(saved) = &found { Some(saved.clone()) } else { None };
         let clock = ports.clock();
         let channels = |robot| {
             Ok(RobotChannels {
@@ -117,7 +119,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
             exploration: Exploration::open(ports, run)?,
             zones: Zones::open(ports)?,
             holds: Holds::open(ports, run)?,
-            saved: StateWriter::new(start_files(file)?, saved.clone().unwrap_or_default()),
+            saved: StateWriter::new(start_files(file)?, saved),
             scan_demand: ScanDemandSender::open(ports, run, ScanPurpose::Navigation)?,
             heartbeat: Heartbeat::new(ports, run, Role::Nav, None)?,
             due: clock.now(),
@@ -126,18 +128,29 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
             refused: 0,
             listeners: listeners.collect::<Result<_, _>>()?,
         };
-        match saved {
-            Some(saved) => process.restore(saved),
-            None => {
-                if let Err(why) = process.zones.add_furniture(run) {
-                    tracing::warn!("the room's furniture makes no exclusion zones: {why}");
-                }
-                if run.config.fleet.explore {
-                    process.explore();
-                }
-            }
+        if let Found::State(saved) = found {
+            process.restore(saved);
+            return Ok(process);
         }
+        if let Err(why) = process.zones.add_furniture(run) {
+            tracing::warn!("the room's furniture makes no exclusion zones: {why}");
+        }
+        match found {
+            Found::Lost => process.ignore_earlier_commands(),
+            _ if run.config.fleet.explore => process.explore(),
+            _ => {}
+        }
+        // A process that takes this one's place must know that it is not the first.
+        process.save();
         Ok(process)
+    }
+
+    /// Carries out no command that was sent before now: channels keep those that an earlier process has carried out.
+    fn ignore_earlier_commands(&mut self) {
+        let now = self.clock.now().0;
+        self.robots.iter_mut().for_each(|channels| channels.newest = now);
+        self.exploration.ignore_commands_until(now);
+        self.zones.ignore_commands_until(now);
     }
 
     /// Begins to explore without a command.
@@ -165,78 +178,17 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
             };
             let Ok(goal) = NavigationGoal::new(saved.frame(), saved.poses()) else { continue };
             channels.goal = saved.goal;
-            self.navigator.set_goal(now, channels.robot, goal);
-            if saved.is_paused {
+            self.navigator.set_goal_from(now, channels.robot, goal, saved.next_pose);
+            if let Some(code) = saved.paused {
+                channels.pause_reason = PauseReason::from_code(code).unwrap_or_default();
                 self.navigator.pause(channels.robot);
             }
         }
     }
 
-    /// Applies the commands that wait; returns whether there were any.
-    fn receive_commands(&mut self, now: Monotonic) -> bool {
-        let mut has_changed = false;
-        for index in 0..self.robots.len() {
-            while let Some(command) = self.robots[index].commands.receive() {
-                if command.number > self.robots[index].newest {
-                    let command = *command;
-                    self.apply(index, &command, now);
-                    has_changed = true;
-                }
-            }
-        }
-        while let Some(command) = self.exploration.receive() {
-            self.inputs.receive(now);
-            if !self.exploration.apply(&mut self.navigator, &command, self.epoch.stamp(now)) {
-                self.refused += 1;
-            }
-            has_changed = true;
-        }
-        if let Some(refused) = self.zones.receive() {
-            self.refused += refused;
-            has_changed = true;
-        }
-        has_changed
-    }
-
     /// Whether there is something to drive for.
     fn is_active(&self) -> bool {
         self.navigator.is_active() || self.exploration.is_active()
-    }
-
-    fn apply(&mut self, index: usize, command: &NavigationCommand, now: Monotonic) {
-        let stamp = self.epoch.stamp(now);
-        let robot = self.robots[index].robot;
-        self.robots[index].newest = command.number;
-        match command.action() {
-            Some(NavigationAction::Goal) => {
-                // What has arrived while nobody had a goal is old.
-                self.inputs.receive(now);
-                let goal = self.inputs.goal(robot, command);
-                self.exploration.set_manual(robot, true);
-                let channels = &mut self.robots[index];
-                (channels.goal, channels.refusal) = (command.number, goal.as_ref().err().copied());
-                match goal {
-                    Ok(goal) => self.navigator.set_goal(stamp, robot, goal),
-                    Err(_) => {
-                        self.refused += 1;
-                        self.navigator.cancel(robot);
-                    }
-                }
-            }
-            Some(NavigationAction::Cancel) => {
-                self.exploration.set_manual(robot, true);
-                self.navigator.cancel(robot);
-            }
-            Some(NavigationAction::Pause) => {
-                let reason = PauseReason::from_code(command.pause_reason).unwrap_or_default();
-                self.pause(robot, reason);
-            }
-            Some(NavigationAction::Resume) => {
-                self.exploration.release_manual(&self.navigator, robot);
-                self.navigator.resume(stamp, robot);
-            }
-            None => self.refused += 1,
-        }
     }
 
     /// One control step of all robots that have goals.
@@ -301,7 +253,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
                 (channels.robot, channels.goal),
                 goal,
                 navigation.next_pose.unwrap_or(0),
-                navigation.state == NavigationState::Paused,
+                (navigation.state == NavigationState::Paused).then_some(channels.pause_reason),
             ))
         });
         let state = SavedState {

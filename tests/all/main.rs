@@ -20,6 +20,7 @@ mod glossary;
 mod harness;
 mod headset;
 mod headset_app;
+mod interruptions;
 mod json_output;
 mod killed_slam;
 mod layering;

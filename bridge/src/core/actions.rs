@@ -4,7 +4,7 @@ use super::Core;
 use super::input::InputError;
 use crate::actions::{ActionGoal, ActionKind, ActionServer, ActionService, GoalEnd, RobotPose};
 use crate::relay::RosRequestId;
-use msg::{Monotonic, NavigationAction, NavigationReport, Pose2, PoseEstimate, RobotId, Stamp};
+use msg::{Monotonic, NavigationReport, Pose2, PoseEstimate, RobotId, Stamp};
 use ros_messages::actions::{
     FollowWaypointsGoal, GoalId, GoalInfo, GoalStatus, MissedWaypoint, NO_GOAL, NavigateToPoseFeedback,
     NavigateToPoseGoal, read_goal_id, write_cancel_response, write_goal_id, write_goal_response,
@@ -98,8 +98,9 @@ impl Core {
         let robot = server.robot();
         if let Some(goal) = server.active_mut() {
             goal.end(GoalEnd::Withdrawn, now);
+            let number = goal.number();
             server.status_changed();
-            self.command_navigation(robot, NavigationAction::Cancel);
+            self.cancel_navigation(robot, number);
             self.publish_action_states();
         }
         let server = self.offered.actions.server_mut(index);
@@ -192,10 +193,11 @@ impl Core {
         };
         let server = self.offered.actions.server_mut(server);
         let (code, canceling) = server.begin_cancel(&wanted, now);
+        let number = server.active().filter(|_| !canceling.is_empty()).map(ActionGoal::number);
         let robot = server.robot();
-        if !canceling.is_empty() {
+        if let Some(number) = number {
             self.commands.record_time(now);
-            self.command_navigation(robot, NavigationAction::Cancel);
+            self.cancel_navigation(robot, number);
         }
         Some(encoded(|to| write_cancel_response(to, code, &canceling)))
     }
@@ -237,8 +239,8 @@ impl Core {
 
     /// Ends goals that the navigator does not answer for, and forgets old results.
     pub(super) fn tick_actions(&mut self, now: Monotonic) {
-        for robot in self.offered.actions.tick(now) {
-            self.command_navigation(robot, NavigationAction::Cancel);
+        for (robot, number) in self.offered.actions.tick(now) {
+            self.cancel_navigation(robot, number);
         }
         self.publish_action_states();
     }

@@ -8,14 +8,13 @@ use crate::input::{InputPurpose, SHARED_GOAL};
 use crate::router::{ClientId, Topic, TopicId};
 use crate::world::{TransformError, floor_pose};
 use msg::{
-    CommandSource, ExclusionZone, ExplorationAction, ExplorationCommand, ExplorationReport, GOAL_POSES_MAX,
-    Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport,
-    NavigationStatus, PauseReason, RobotFrame, RobotId, VelocityCommand, ZoneCommand, ZoneError,
+    ExclusionZone, ExplorationAction, ExplorationCommand, ExplorationReport, GOAL_POSES_MAX, Monotonic,
+    NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport, NavigationStatus,
+    PauseReason, RobotFrame, RobotId, VelocityCommand, ZoneCommand, ZoneError,
 };
 use ros_messages::names::{FleetFrame, MAP};
 use ros_messages::read::Transform;
 use ros_messages::{Bool, Empty, Int32, Message, PathMessage, PolygonStamped, PoseStamped};
-use std::net::IpAddr;
 use thiserror::Error;
 
 /// Why a goal is refused.
@@ -131,14 +130,6 @@ impl Core {
         self.apply_navigation_input(InputPurpose::Goal(None), payload, now)
     }
 
-    /// Pauses a robot's navigation if a person's velocity moves it.
-    pub(super) fn pause_if_moving(&mut self, robot: RobotId, velocity: Velocity, now: Monotonic) {
-        if velocity != Velocity::ZERO {
-            self.commands.record_time(now);
-            self.pause_navigation([robot]);
-        }
-    }
-
     /// Sends a robot to a pose; without a robot, the selected one. Returns the number of the command.
     pub(super) fn accept_goal(
         &mut self,
@@ -218,6 +209,12 @@ impl Core {
         self.commands.push_navigation(robot, NavigationCommand::new(number, action));
     }
 
+    /// Tells the navigator to cancel the goal with a number; one that has taken its place stays.
+    pub(super) fn cancel_navigation(&mut self, robot: RobotId, goal: u64) {
+        let number = self.commands.next_navigation_number();
+        self.commands.push_navigation(robot, NavigationCommand::cancel(number, goal));
+    }
+
     /// Handles a person's wish to cancel a robot's goal, or to drive on to it.
     fn command_navigation_at(
         &mut self,
@@ -234,53 +231,6 @@ impl Core {
             self.gate.drive_mut().expect_navigation(robot);
         }
         Ok(())
-    }
-
-    /// Pauses the navigation of robots that the navigator drives, because a person drives or stops them.
-    pub(super) fn pause_navigation(&mut self, robots: impl IntoIterator<Item = RobotId>) {
-        self.pause_navigation_because(robots, PauseReason::Person);
-    }
-
-    /// Pauses the navigation of robots that the navigator drives.
-    pub(super) fn pause_navigation_because(
-        &mut self,
-        robots: impl IntoIterator<Item = RobotId>,
-        reason: PauseReason,
-    ) {
-        for robot in robots {
-            if self.gate.drive().is_or_will_be_navigated(robot) {
-                self.push_pause(robot, reason);
-            }
-        }
-    }
-
-    /// Pauses the navigation of all robots, those included of which this bridge does not know that somebody has sent them: a command
-    /// line tells the navigator itself, which may hang or be starting again.
-    pub(super) fn pause_all_navigation(&mut self, reason: PauseReason) {
-        let robots: Vec<RobotId> = self.fleet.robots().collect();
-        robots.into_iter().for_each(|robot| self.push_pause(robot, reason));
-    }
-
-    fn push_pause(&mut self, robot: RobotId, reason: PauseReason) {
-        self.gate.drive_mut().end_navigation(robot);
-        let number = self.commands.next_navigation_number();
-        self.commands.push_navigation(robot, NavigationCommand::pause(number, reason));
-    }
-
-    /// Pauses the robots that drive to goals of an address, and those that explore because of it.
-    pub fn pause_robots_of(&mut self, address: IpAddr) {
-        let is_theirs =
-            |sender: CommandSource| sender.address().is_some_and(|peer| peer.ip() == address.to_canonical());
-        let explores = is_theirs(self.commands.exploration_sender());
-        let robots: Vec<RobotId> = self
-            .fleet
-            .robots()
-            .filter(|robot| {
-                is_theirs(self.commands.goal_sender(*robot))
-                    || explores && self.gate.drive().is_exploring(*robot)
-            })
-            .collect();
-        self.pause_navigation(robots);
     }
 
     /// Handles a velocity of the navigator: it passes the gate as all others, and gives way to every person.

@@ -205,7 +205,7 @@ impl VelocityGate {
         GateDecision::Passed(velocity)
     }
 
-    /// Gives a robot to a driver; returns the other client that drove it. Whoever drove it, it stops, unless the driver had it already.
+    /// Gives a robot to a driver; returns the other client that drove it. The robot stops, unless the driver had it already.
     pub fn take_control(&mut self, driver: DriveClient, robot: RobotId, now: Monotonic) -> Option<ClientId> {
         let had_it = self.drive.leaseholder(robot, now).is_some_and(|holder| holder.is_same(&driver));
         let before = self.drive.take_control(driver, robot, now);

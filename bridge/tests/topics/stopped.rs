@@ -85,12 +85,12 @@ fn what_navigation_has_not_read_yet_is_paused_by_a_stop_and_by_a_person() {
             let (bridge, commands) = bridge();
             let client = LocalClient::connect(&bridge);
             client.publish::<PoseStamped>("/robot1/goal_pose");
-            client.publish::<Bool>("/explore");
+            client.publish::<Bool>("/explore/resume");
             client.publish::<Int32>(taken);
             client.publish::<Twist>(driven);
             client.publish::<Bool>(stopped);
             if explores {
-                client.send("/explore", &Bool(true), Monotonic(1));
+                client.send("/explore/resume", &Bool(true), Monotonic(1));
             } else {
                 client.send("/robot1/goal_pose", &goal(), Monotonic(1));
             }

@@ -36,6 +36,13 @@ struct ExploredMap {
     is_in_use: bool,
 }
 
+impl ExploredMap {
+    fn new(robot: Option<RobotId>, config: CoordinationConfig, now: Stamp) -> Self {
+        let coordinator = FleetCoordinator::new(config);
+        Self { robot, coordinator, able_at: now, known_m2: 0.0, is_manual: false, is_in_use: true }
+    }
+}
+
 /// Exploration of a fleet by a [`FleetNavigator`].
 ///
 /// ```
@@ -266,16 +273,7 @@ impl FleetExploration {
         robots: &[CoordinatedRobot],
     ) {
         let index = self.maps.iter().position(|map| map.robot == of).unwrap_or_else(|| {
-            let coordinator = FleetCoordinator::new(self.config);
-            let able_at = input.stamp;
-            self.maps.push(ExploredMap {
-                robot: of,
-                coordinator,
-                able_at,
-                known_m2: 0.0,
-                is_manual: false,
-                is_in_use: true,
-            });
+            self.maps.push(ExploredMap::new(of, self.config, input.stamp));
             self.maps.len() - 1
         });
         // Zones are in the merged map; where they lie in another one is not known.

@@ -88,6 +88,7 @@ const LOOKS_MAX: u32 = 3;
 /// let goal = coordinator.goal(robot.robot).unwrap();
 /// assert_eq!(goal.purpose, GoalPurpose::Explore);
 /// ```
+// More than 12 fields: the settings, what the fleet has seen and done, and the last plan.
 #[derive(Clone, Debug)]
 pub struct FleetCoordinator {
     config: CoordinationConfig,

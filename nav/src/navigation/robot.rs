@@ -183,6 +183,13 @@ impl RobotNavigator {
         self.state = NavigationState::Planning;
     }
 
+    /// Leaves out the goal's poses before the one with this index, but not the last.
+    pub(super) fn skip_to(&mut self, next_pose: usize) {
+        if let Some(active) = &mut self.goal {
+            active.next = next_pose.min(active.goal.poses().len() - 1);
+        }
+    }
+
     /// Ends the goal in this state.
     pub(super) fn end(&mut self, state: NavigationState) {
         self.end_place_search(state);

@@ -1,12 +1,12 @@
 //! Feeds of a transport: each passes the messages of one group of channels on to ros_tcp clients or to DDS.
 
-use super::silence::{SILENT, silent_exploration, silent_navigation};
 use crate::channel::{self, Channel};
 use crate::config::RobotSource;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort};
 use crate::process::ProcessLoop;
 use crate::process::scan_demand::ScanDemandSender;
 use crate::run::Run;
+use ::bridge::silence::{SILENT, report_of_silent_exploration, report_of_silent_navigation};
 use ::bridge::{FleetMessage, FleetTopic, Transport};
 use msg::{
     DenseMap, GridView, MapTransforms, Message, Monotonic, Odometry, PatchHeader, RobotId, ScanPurpose,
@@ -64,7 +64,7 @@ pub fn open_feeds<P: Ports + 'static, T: Transport + 'static>(
             ports,
             transport,
             &channel::exploration_state(),
-            silent_exploration,
+            report_of_silent_exploration,
             |to, report| {
                 to.publish(FleetMessage::ExplorationState(report));
             },
@@ -86,9 +86,15 @@ pub fn open_feeds<P: Ports + 'static, T: Transport + 'static>(
             to.publish(FleetMessage::PoseEstimate(robot, pose_estimate));
         })?);
         let state = channel::navigation_state(robot);
-        feeds.push(forward_repeated(ports, transport, &state, silent_navigation, move |to, report| {
-            to.publish(FleetMessage::NavigationState(robot, report));
-        })?);
+        feeds.push(forward_repeated(
+            ports,
+            transport,
+            &state,
+            report_of_silent_navigation,
+            move |to, report| {
+                to.publish(FleetMessage::NavigationState(robot, report));
+            },
+        )?);
         feeds.push(forward(ports, transport, &channel::plan(robot), move |to, plan| {
             to.publish(FleetMessage::Plan(robot, plan));
         })?);

@@ -79,6 +79,11 @@ impl<P: Ports> Exploration<P> {
         None
     }
 
+    /// Applies no command up to a number.
+    pub(super) fn ignore_commands_until(&mut self, number: u64) {
+        self.report.number = number;
+    }
+
     /// Applies a command; returns whether it is known.
     pub(super) fn apply(
         &mut self,

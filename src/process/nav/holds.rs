@@ -50,7 +50,7 @@ impl<P: Ports> Holds<P> {
 
 impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
     /// Pauses a robot's goal, and takes the robot out of the exploration until it is resumed.
-    pub(super) fn pause(&mut self, robot: RobotId, reason: PauseReason) {
+    fn pause(&mut self, robot: RobotId, reason: PauseReason) {
         self.exploration.set_manual(robot, false);
         self.navigator.pause(robot);
         if let Some(channels) = self.robots.iter_mut().find(|channels| channels.robot == robot) {
@@ -59,7 +59,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
     }
 
     /// Pauses a robot that drives to a goal or explores; returns whether it did.
-    fn pause_if_driven(&mut self, robot: RobotId, reason: PauseReason) -> bool {
+    pub(super) fn pause_if_driven(&mut self, robot: RobotId, reason: PauseReason) -> bool {
         let has_goal =
             self.navigator.robots().any(|driven| driven.robot == robot && driven.state.is_active());
         let is_driven = has_goal || self.exploration.includes(robot);

@@ -6,7 +6,7 @@ use crate::process::file_thread::{FileJobs, JobWorker};
 use crate::run::Run;
 use crate::storage::Storage;
 use ::nav::{GoalFrame, GoalPose, NavigationGoal};
-use msg::{Monotonic, RobotId};
+use msg::{Monotonic, PauseReason, RobotId};
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::PathBuf;
@@ -70,9 +70,12 @@ pub struct SavedGoal {
     pub(super) robot: usize,
     /// Number of the goal's command.
     pub(super) goal: u64,
-    pub(super) is_paused: bool,
+    /// Code of the reason of its pause; `None`: it is driven to.
+    pub(super) paused: Option<u32>,
     in_merged_map: bool,
-    /// The poses that are left: x, y, and the heading if it matters.
+    /// Index of the pose that is driven to.
+    pub(super) next_pose: usize,
+    /// Its poses: x, y, and the heading if it matters.
     poses: Vec<(f64, f64, Option<f64>)>,
 }
 
@@ -81,15 +84,16 @@ impl SavedGoal {
         (robot, number): (RobotId, u64),
         goal: &NavigationGoal,
         next_pose: usize,
-        is_paused: bool,
+        paused: Option<PauseReason>,
     ) -> Self {
         let pose = |pose: &GoalPose| (pose.position_m[0], pose.position_m[1], pose.yaw_rad);
         Self {
             robot: robot.number(),
             goal: number,
-            is_paused,
+            paused: paused.map(|reason| reason as u32),
             in_merged_map: goal.frame() == GoalFrame::MergedMap,
-            poses: goal.poses().iter().skip(next_pose).map(pose).collect(),
+            next_pose,
+            poses: goal.poses().iter().map(pose).collect(),
         }
     }
 
@@ -102,6 +106,17 @@ impl SavedGoal {
             |(x, y, yaw_rad): &(f64, f64, Option<f64>)| GoalPose { position_m: [*x, *y], yaw_rad: *yaw_rad };
         self.poses.iter().map(pose).collect()
     }
+}
+
+/// What is found at the start of a navigation process.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Found {
+    /// It is the first of its run.
+    Nothing,
+    /// The state of an earlier one.
+    State(SavedState),
+    /// There was an earlier one, whose state could not be written or is damaged: its commands must not be carried out again.
+    Lost,
 }
 
 /// The file of a run.
@@ -118,17 +133,22 @@ impl<S: Storage> NavigationFile<S> {
         Self { storage, path: run.domain.root().join(FILE), run_begun: run.begun.0, has_warned: false }
     }
 
-    /// Reads the state of an earlier process of this run; `None` if there was none.
-    pub(super) fn read(&self) -> Option<SavedState> {
+    /// Reads what an earlier process of this run has left.
+    pub(super) fn read(&self) -> Found {
         let bytes = match self.storage.read(&self.path, BYTES_MAX) {
-            Err(why) if why.kind() == io::ErrorKind::NotFound => return None,
+            Err(why) if why.kind() == io::ErrorKind::NotFound => return Found::Nothing,
+            Ok(bytes) if bytes.is_empty() => Err(io::Error::other("the state could not be written")),
             result => result,
         };
         match bytes.and_then(|bytes| Ok(serde_json::from_slice::<Saved>(&bytes)?)) {
-            Ok(saved) => Some(saved.state).filter(|_| saved.run == self.run_begun),
+            Ok(saved) if saved.run == self.run_begun => Found::State(saved.state),
+            Ok(_) => Found::Nothing,
             Err(why) => {
-                tracing::warn!("{}: {why}; no goal is taken from it", self.path.display());
-                None
+                tracing::warn!(
+                    "{}: {why}; navigation begins without goals, exploration and zones, and the robots stand",
+                    self.path.display()
+                );
+                Found::Lost
             }
         }
     }
@@ -150,10 +170,10 @@ impl<S: Storage> FileJobs for NavigationFile<S> {
             return true;
         };
         // What the file has is out of date: a restarted process would drive to goals that were cancelled, and through zones.
-        let removed = self.storage.remove(&self.path);
+        let emptied = self.storage.append(&self.path, 0, b"");
         if !std::mem::replace(&mut self.has_warned, true) {
             let path = self.path.display();
-            match removed {
+            match emptied {
                 Ok(()) => tracing::warn!(
                     "{path}: {why}; until it can be written, a restarted navigation begins without goals, exploration and zones"
                 ),
@@ -178,8 +198,9 @@ pub(super) struct StateWriter<W> {
 }
 
 impl<W: JobWorker<SavedState, bool>> StateWriter<W> {
-    pub(super) fn new(worker: W, saved: SavedState) -> Self {
-        Self { worker, submitted: Some(saved), job: None, retry_at: Monotonic(0) }
+    /// A writer of the file that has the state `saved`, or none yet.
+    pub(super) fn new(worker: W, saved: Option<SavedState>) -> Self {
+        Self { worker, submitted: saved, job: None, retry_at: Monotonic(0) }
     }
 
     /// Has the state written if it has changed, or could not be written before, and the file is free. Call it often.
@@ -221,7 +242,7 @@ mod tests {
     #[test]
     fn the_newest_state_is_written_when_a_slow_disk_answers() {
         let state = |number| SavedState { commands: vec![(1, number)], ..SavedState::default() };
-        let mut writer = StateWriter::new(StalledDisk::default(), SavedState::default());
+        let mut writer = StateWriter::new(StalledDisk::default(), Some(SavedState::default()));
         (1..=3).for_each(|number| writer.write(state(number), Monotonic(0)));
         assert_eq!(writer.worker.jobs.len(), 1, "one job is under way");
         let (first, answer) = writer.worker.jobs.remove(0);
@@ -233,7 +254,7 @@ mod tests {
     #[test]
     fn a_state_that_a_full_disk_refused_is_written_again() {
         let cancelled = SavedState { commands: vec![(1, 7)], ..SavedState::default() };
-        let mut writer = StateWriter::new(StalledDisk::default(), SavedState::default());
+        let mut writer = StateWriter::new(StalledDisk::default(), Some(SavedState::default()));
         writer.write(cancelled.clone(), Monotonic(0));
         writer.worker.jobs.remove(0).1.send(false).unwrap();
         writer.write(cancelled.clone(), Monotonic(1));

@@ -29,6 +29,8 @@ pub(super) struct Zones<P: Ports> {
     /// Answers to the newest commands, oldest first: a command that comes again is known by its number. Commands of several
     /// programs need not come in the order of their numbers.
     answers: VecDeque<ZoneAnswer>,
+    /// Number up to which no command is carried out.
+    ignored_until: u64,
     has_changed: bool,
 }
 
@@ -40,6 +42,7 @@ impl<P: Ports> Zones<P> {
             zones: Vec::new(),
             last_number: 0,
             answers: VecDeque::with_capacity(ZONE_ANSWERS_MAX),
+            ignored_until: 0,
             // The first state says that there are none.
             has_changed: true,
         })
@@ -99,11 +102,18 @@ impl<P: Ports> Zones<P> {
         refused
     }
 
+    /// Carries out no command up to a number.
+    pub(super) fn ignore_commands_until(&mut self, number: u64) {
+        self.ignored_until = number;
+    }
+
     /// Whether a command was answered before. One that is older than all whose answers are kept counts as answered.
     fn is_answered(&self, number: u64) -> bool {
         let oldest = self.answers.iter().map(|answer| answer.number).min().unwrap_or(0);
         let is_forgotten = self.answers.len() == ZONE_ANSWERS_MAX && number < oldest;
-        is_forgotten || self.answers.iter().any(|answer| answer.number == number)
+        is_forgotten
+            || number <= self.ignored_until
+            || self.answers.iter().any(|answer| answer.number == number)
     }
 
     fn keep_answer(&mut self, answer: ZoneAnswer) {

@@ -179,7 +179,7 @@ fn a_robot_beyond_the_map_is_said_to_reach_no_floor() {
 
 /// Robots of which one is absent for some time, in a room of which nothing is unknown: when exploration ends, and how.
 fn end_with_absence(seconds: f64, is_silent: bool) -> (f64, ExplorationEnd) {
-    let walls = |i: usize| i % 160 == 0 || i % 160 == 159 || i < 160 || i >= 79 * 160;
+    let walls = |i: usize| i.is_multiple_of(160) || i % 160 == 159 || !(160..79 * 160).contains(&i);
     let cells: Vec<i8> = (0..160 * 80).map(|i| if walls(i) { 100 } else { 0 }).collect();
     let mut robots = robots(&cells, 2);
     let (absent, pose) = (robots[1].observation.robot, robots[1].observation.map_from_base);

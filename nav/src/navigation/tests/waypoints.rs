@@ -22,7 +22,7 @@ fn draw(random: &mut RandomNumbers) -> Vec<GoalPose> {
             if random.index_below(2) == 0 {
                 place = random.index_below(PLACES_M.len());
             }
-            let yaw_rad = (random.index_below(3) > 0).then(|| random.index_below(628) as f64 / 100.0 - 3.14);
+            let yaw_rad = (random.index_below(3) > 0).then(|| random.index_below(600) as f64 / 100.0 - 3.0);
             GoalPose { position_m: PLACES_M[place], yaw_rad }
         })
         .collect()

@@ -4,13 +4,13 @@ use msg::{ExplorationReport, ExplorationStatus, NavigationReport, NavigationStat
 use std::time::Duration;
 
 /// Navigation repeats states each second while it drives. After so long without one it has died or hangs.
-pub(super) const SILENT: Duration = Duration::from_secs(3);
+pub const SILENT: Duration = Duration::from_secs(3);
 /// What clients read then.
 const REASON: &str =
     "navigation has not answered for 3 s: its process has ended or hangs, and the robots stand";
 
-/// Returns what a robot's state is if it is not repeated; `None` for states that are not.
-pub(super) fn silent_navigation(newest: &NavigationReport) -> Option<NavigationReport> {
+/// Returns the state to publish in place of one that navigation has not repeated; `None` for states that it does not repeat.
+pub fn report_of_silent_navigation(newest: &NavigationReport) -> Option<NavigationReport> {
     use NavigationStatus::{Blocked, Driving, Planning, Recovering, Waiting};
     if !matches!(newest.status(), Planning | Driving | Waiting | Blocked | Recovering) {
         return None;
@@ -21,8 +21,9 @@ pub(super) fn silent_navigation(newest: &NavigationReport) -> Option<NavigationR
     Some(report)
 }
 
-/// Returns what the exploration's state is if it is not repeated; `None` for states that are not.
-pub(super) fn silent_exploration(newest: &ExplorationReport) -> Option<ExplorationReport> {
+/// Returns the state of the exploration to publish in place of one that navigation has not repeated; `None` for states that it does
+/// not repeat.
+pub fn report_of_silent_exploration(newest: &ExplorationReport) -> Option<ExplorationReport> {
     if !matches!(newest.status(), ExplorationStatus::Exploring | ExplorationStatus::Returning) {
         return None;
     }
