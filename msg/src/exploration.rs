@@ -224,6 +224,8 @@ pub struct ExplorationReport {
     pub header: Header,
     /// Number of the newest command that was applied; 0 before the first.
     pub number: u64,
+    /// Time from the start of the exploration to this state, or to its end, seconds; not a number before the first.
+    pub elapsed_s: f64,
     /// Area that the maps of the exploration show, square metres; not a number before the first.
     pub known_m2: f64,
     /// Least time expected until nothing reachable is unknown, seconds; not a number if it is not known.
@@ -248,7 +250,13 @@ pub struct ExplorationReport {
 
 impl Default for ExplorationReport {
     fn default() -> Self {
-        Self { known_m2: f64::NAN, least_s: f64::NAN, most_s: f64::NAN, ..Self::zeroed() }
+        Self {
+            elapsed_s: f64::NAN,
+            known_m2: f64::NAN,
+            least_s: f64::NAN,
+            most_s: f64::NAN,
+            ..Self::zeroed()
+        }
     }
 }
 

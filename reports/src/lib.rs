@@ -7,6 +7,7 @@ mod commands;
 mod graph_picture;
 mod html;
 mod map_picture;
+mod navigation;
 mod plots;
 mod series;
 mod system;
@@ -19,6 +20,7 @@ pub use commands::{edge_command_json, navigation_command_json, operator_event_js
 pub use graph_picture::{GraphEdge, GraphNode, graph_picture, tree_picture};
 pub use html::{Page, Row};
 pub use map_picture::{Trail, map_picture};
+pub use navigation::{ExplorationView, NavigationView, RobotNavigationView};
 pub use plots::{Group, Line, line_plot, plot_over, quantile_plot};
 pub use series::{DrivenTime, RobotSeries, Series, TeleoperationProfile, add_teleoperation};
 pub use system::{frame_tree, process_graph};

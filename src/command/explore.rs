@@ -7,6 +7,7 @@ use super::run_args::RunArgs;
 use super::up::FleetHooks;
 use super::waiting::{WaitError, Waiting};
 use crate::channel::{self, Opener, Program};
+use crate::control::{self, Request};
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, Reader, Writer, wait};
@@ -16,8 +17,11 @@ use msg::{
     ROBOTS_MAX, RobotId,
 };
 use serde::Serialize;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+/// Longest time that the bridge may take to say whether the emergency stop is set.
+const BRIDGE_PATIENCE: Duration = Duration::from_secs(1);
 /// Longest time without an answer to the stop after Ctrl-C.
 const STOP_PATIENCE: Duration = Duration::from_secs(1);
 /// Period at which the state is looked at, nanoseconds.
@@ -65,6 +69,12 @@ pub enum ExploreError {
     /// The fleet has ended, or navigation does not answer.
     #[error(transparent)]
     Wait(#[from] WaitError),
+    /// The emergency stop is set: the robots would not set off after its release either.
+    #[error("run {}: the emergency stop is set; `mr-slam release` first, then explore", run.display())]
+    EmergencyStop {
+        /// Folder of the run.
+        run: PathBuf,
+    },
     /// Ctrl-C before navigation has answered.
     #[error("interrupted before navigation has answered")]
     Interrupted,
@@ -86,7 +96,8 @@ pub enum ExploreError {
 pub struct Answer {
     state: &'static str,
     reason: String,
-    seconds: f64,
+    /// Time that the exploration has taken; `None` before the first.
+    seconds: Option<f64>,
     known_m2: Option<f64>,
     least_s: Option<f64>,
     most_s: Option<f64>,
@@ -113,8 +124,8 @@ fn known_area(known_m2: Option<f64>) -> String {
 }
 
 impl Answer {
-    /// Describes an exploration that has taken so many seconds until now, or until its end.
-    pub(super) fn new(report: &ExplorationReport, robots: usize, seconds: f64) -> Self {
+    /// Describes an exploration.
+    pub(super) fn new(report: &ExplorationReport, robots: usize) -> Self {
         let finite = |value: f64| value.is_finite().then_some(value);
         let left = report.leftovers().iter().map(|left| AnswerLeftover {
             map: RobotId::new(left.map_robot as usize).map_or("map".into(), |robot| robot.to_string()),
@@ -127,7 +138,7 @@ impl Answer {
         Self {
             state: report.status().name(),
             reason: report.reason().to_owned(),
-            seconds,
+            seconds: finite(report.elapsed_s),
             known_m2: finite(report.known_m2),
             least_s: finite(report.least_s),
             most_s: finite(report.most_s),
@@ -140,7 +151,8 @@ impl Answer {
     /// The answer for people: what was reached, and a line for each place that is left.
     pub(super) fn text(&self) -> String {
         let known = known_area(self.known_m2);
-        let mut text = format!("{} after {:.0} s{known}", self.state, self.seconds);
+        let after = self.seconds.map_or_else(String::new, |seconds| format!(" after {seconds:.0} s"));
+        let mut text = format!("{}{after}{known}", self.state);
         if !self.reason.is_empty() {
             text += &format!(": {}", self.reason);
         }
@@ -164,18 +176,19 @@ impl Answer {
 pub fn run(args: &ExploreArgs, stop: &Stop) -> Result<(), ExploreError> {
     let is_change = args.action != ExploreAction::Status;
     let run = if is_change { args.run.open_to_change()? } else { args.run.open()? };
-    let begun = Instant::now();
+    let is_start = args.action == ExploreAction::Start;
+    // A bridge that does not answer pauses the robots later, if it has to.
+    if is_start && control::ask(&run, Request::State, BRIDGE_PATIENCE).is_ok_and(|bridge| bridge.stopped) {
+        return Err(ExploreError::EmergencyStop { run: run.dir });
+    }
     let report = exchange(&run, args, stop)?;
-    let answer = Answer::new(&report, run.config.fleet.robots, begun.elapsed().as_secs_f64());
+    let answer = Answer::new(&report, run.config.fleet.robots);
     output::print_either(args.json, &answer, || answer.text())?;
     if args.action == ExploreAction::Stop && !taken_out(&report).is_empty() {
         output::note(&format!("the robots that explored stand{}", taken_out(&report)));
     }
     let is_on_its_way = !report.status().is_final() && report.status() != ExplorationStatus::Paused;
-    if args.action != ExploreAction::Start
-        || report.status() == ExplorationStatus::Completed
-        || (args.no_wait && is_on_its_way)
-    {
+    if !is_start || report.status() == ExplorationStatus::Completed || (args.no_wait && is_on_its_way) {
         return Ok(());
     }
     Err(ExploreError::NotCompleted { state: answer.state, reason: answer.reason })
@@ -313,7 +326,6 @@ pub struct ExplorationWatch {
     progress: Progress,
     newest: Option<ExplorationReport>,
     robots: usize,
-    begun: Option<Instant>,
 }
 
 impl ExplorationWatch {
@@ -329,7 +341,7 @@ impl FleetHooks for ExplorationWatch {
             .map_err(std::io::Error::other)?;
         let states = node.reader(&channel::exploration_state()).map_err(std::io::Error::other)?;
         self.states = Some((node, states));
-        (self.robots, self.begun) = (run.config.fleet.robots, Some(Instant::now()));
+        self.robots = run.config.fleet.robots;
         Ok(())
     }
 
@@ -350,7 +362,6 @@ impl FleetHooks for ExplorationWatch {
     }
 
     fn on_stop(&mut self) -> Option<serde_json::Value> {
-        let seconds = self.begun?.elapsed().as_secs_f64();
-        serde_json::to_value(Answer::new(self.newest.as_ref()?, self.robots, seconds)).ok()
+        serde_json::to_value(Answer::new(self.newest.as_ref()?, self.robots)).ok()
     }
 }

@@ -151,7 +151,8 @@ pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
     let is_wanted = args.cancel || state == NavigationStatus::Reached || (args.no_wait && is_on_its_way);
     output::print_either(args.json, &answer, || {
         // An error says the reason itself.
-        let says_why = is_wanted && !args.cancel && !answer.reason.is_empty();
+        let says_why =
+            is_wanted && (!args.cancel || state == NavigationStatus::Idle) && !answer.reason.is_empty();
         let why = if says_why { format!(" ({})", answer.reason) } else { String::new() };
         let at = answer.distance_m.map_or_else(String::new, |m| format!(", {m:.2} m from the goal"));
         format!("{}: {} after {:.1} s{at}{why}\n", answer.robot, answer.state, answer.seconds)
@@ -198,6 +199,7 @@ fn exchange(
     let number = crate::clock::now().0;
     commands.send(&command(args, robot, number));
     let what = if args.cancel { "its goal is cancelled" } else { "it has arrived" };
+    let mut had_goal = false;
     let mut waiting = Waiting::new(Instant::now(), format!("{robot}: whether {what} is not known"));
     let (mut first, mut shown) = (FirstStates::new(), String::new());
     loop {
@@ -210,6 +212,11 @@ fn exchange(
                 waiting.hear(Instant::now());
             }
             let is_over = report.status().is_final();
+            had_goal |= !is_over && report.status() != NavigationStatus::Idle;
+            had_goal |= report.status() == NavigationStatus::Cancelled && report.header.sent.0 >= number;
+            if args.cancel && !had_goal {
+                return Ok(without_goal(&report));
+            }
             if args.cancel && (is_over || report.status() == NavigationStatus::Idle) {
                 return Ok(report);
             }
@@ -241,6 +248,13 @@ fn exchange(
         }
         wait([], Monotonic(crate::clock::now().0 + POLL_NS));
     }
+}
+
+/// Returns the state of a robot that had no goal to cancel: what became of the last one is no result of this.
+fn without_goal(last: &NavigationReport) -> NavigationReport {
+    let mut report = NavigationReport { status: NavigationStatus::Idle as u32, ..*last };
+    report.set_reason("it had no goal to cancel");
+    report
 }
 
 /// Cancels the goal after Ctrl-C; returns what became of it.

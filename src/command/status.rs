@@ -2,6 +2,7 @@
 
 use super::output;
 use super::run_args::RunArgs;
+use crate::channel::{self, Opener, Program};
 use crate::config::RobotSource;
 use crate::control::{self, Request};
 use crate::observer::Observer;
@@ -9,7 +10,9 @@ use crate::ports::ChannelError;
 use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport, REPORT_AGE_MAX};
 use crate::run::{Run, RunError};
-use reports::FleetView;
+use crate::shared_memory::{Participant, Reader, wait};
+use msg::{ExplorationReport, Monotonic, NavigationReport, RobotId};
+use reports::{FleetView, NavigationView};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -31,6 +34,13 @@ pub struct StatusArgs {
 
 /// How long figures may take: they come once a second, and a fleet that starts needs some more.
 const PATIENCE: Duration = Duration::from_secs(5);
+
+/// How long navigation may take: it says its states to those who come late once a second.
+const NAVIGATION_PATIENCE: Duration = Duration::from_millis(1500);
+/// Period at which its state is looked for, nanoseconds.
+const POLL_NS: u64 = 20_000_000;
+/// What people read where it has said nothing.
+const SILENT: &str = "navigation has not answered: goals and exploration are not known\n";
 
 /// Reason why no figures were shown.
 #[derive(Debug, thiserror::Error)]
@@ -63,7 +73,10 @@ pub enum StatusError {
 /// Prints the newest figures of a running fleet.
 pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
     let run = args.run.open()?;
+    // What goes out once a second comes while the figures are waited for.
+    let mut states = NavigationStates::open(&run)?;
     let (fleet, link) = (newest_figures(&run)?, link_figures(&run));
+    let navigation = states.newest();
     let of_link: Vec<String> = link.iter().flatten().filter_map(line).collect();
     let stop_latched = stop_file(&run.dir).try_exists().ok();
     let text = || {
@@ -72,10 +85,17 @@ pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
         let style = reports::terminal::style(&std::io::stdout());
         let of_link: String = of_link.iter().map(|line| format!("! {line}\n")).collect();
         let latch = latch_line(&fleet, stop_latched);
-        format!("{heading}{of_link}{}{latch}\n{}", fleet.table(&style), fleet.process_table(&style))
+        let doing = navigation.as_ref().map_or_else(|| SILENT.into(), NavigationView::text);
+        format!("{heading}{of_link}{}{doing}{latch}\n{}", fleet.table(&style), fleet.process_table(&style))
     };
     let alarms = of_link.iter().cloned().chain(fleet.alarms()).collect();
-    let status = Status { fleet: &fleet, alarms, stop_latched, link: link.as_deref() };
+    let status = Status {
+        fleet: &fleet,
+        alarms,
+        navigation: navigation.as_ref(),
+        stop_latched,
+        link: link.as_deref(),
+    };
     output::print_either(args.json, &status, text)?;
     match fleet.bridge_silence {
         Some(why) => Err(StatusError::BridgeSilent { run: run.dir, why }),
@@ -101,10 +121,48 @@ struct Status<'a> {
     fleet: &'a FleetView,
     /// What is wrong, in sentences.
     alarms: Vec<String>,
+    /// Goals and exploration; `None`: navigation has said nothing.
+    navigation: Option<&'a NavigationView>,
     /// Whether the run's folder says that the emergency stop is set; `None`: it cannot be read.
     stop_latched: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
     link: Option<&'a [PeerReport]>,
+}
+
+/// The newest states of navigation, which each robot's goal and the exploration have.
+struct NavigationStates {
+    exploration: Reader<ExplorationReport>,
+    robots: Vec<(RobotId, Reader<NavigationReport>)>,
+    _participant: Participant,
+}
+
+impl NavigationStates {
+    fn open(run: &Run) -> Result<Self, ChannelError> {
+        let node = Participant::open(&run.domain, Opener::of_fleet(Program::Launcher), "status_navigation")?;
+        let reader = |robot| Ok((robot, node.reader(&channel::navigation_state(robot))?));
+        Ok(Self {
+            exploration: node.reader(&channel::exploration_state())?,
+            robots: run.robots().map(reader).collect::<Result<_, ChannelError>>()?,
+            _participant: node,
+        })
+    }
+
+    /// Waits for a while for the state of the exploration, which navigation always has.
+    fn newest(&mut self) -> Option<NavigationView> {
+        let begun = Instant::now();
+        let exploration = loop {
+            match self.exploration.newest() {
+                Some(report) => break *report,
+                None if begun.elapsed() > NAVIGATION_PATIENCE => return None,
+                None => {
+                    wait([], Monotonic(crate::clock::now().0 + POLL_NS));
+                }
+            }
+        };
+        let reports: Vec<(RobotId, NavigationReport)> =
+            self.robots.iter_mut().filter_map(|(robot, reader)| Some((*robot, *reader.newest()?))).collect();
+        Some(NavigationView::new(reports.iter().map(|(robot, report)| (*robot, report)), &exploration))
+    }
 }
 
 /// Returns the figures of the link to each robot; `None` where the robots are on this machine.

@@ -36,10 +36,12 @@ pub enum InitialPoseError {
         frame: String,
     },
     /// The frame is not a map.
-    #[error("a pose in '{frame}': expected '{MAP}', or a robot's map such as map_1")]
+    #[error("a pose in '{frame}': expected '{MAP}', or a robot's map such as {example}")]
     Frame {
         /// The message's frame.
         frame: String,
+        /// Frame of the first robot's map.
+        example: String,
     },
     /// The frame is another robot's map.
     #[error("a pose in '{frame}' is not {robot}'s")]
@@ -91,7 +93,11 @@ impl Core {
         let robot_count = self.fleet.robot_count();
         let of = match self.fleet.robot_names().parse_frame(frame) {
             Some((of, FleetFrame::Map)) if of.number() <= robot_count => of,
-            _ => return Err(InitialPoseError::Frame { frame: frame.to_owned() }),
+            _ => {
+                let first = self.fleet.robots().next();
+                let example = first.map_or("map_1", |first| self.fleet.frame_names().map(first)).to_owned();
+                return Err(InitialPoseError::Frame { frame: frame.to_owned(), example });
+            }
         };
         match named {
             Some(robot) if robot != of => {

@@ -24,12 +24,12 @@ pub enum GoalError {
     #[error(transparent)]
     Pose(#[from] TransformError),
     /// The frame is not one of the fleet's.
-    #[error(
-        "a goal in '{frame}': expected '{MAP}', or a frame of a robot such as map_1, odom_1 or base_link_1"
-    )]
+    #[error("a goal in '{frame}': expected '{MAP}', or a frame of a robot such as {examples}")]
     Frame {
         /// The message's frame.
         frame: String,
+        /// Frames of the first robot.
+        examples: String,
     },
     /// A path without poses.
     #[error("a path without poses; to cancel, publish on the robot's cancel_navigation")]
@@ -200,7 +200,16 @@ impl Core {
             }
             FleetFrame::Robot(_) => None,
         };
-        of.and_then(frame_of).ok_or_else(|| GoalError::Frame { frame: frame.to_owned() })
+        of.and_then(frame_of).ok_or_else(|| {
+            let frames = self.fleet.frame_names();
+            let of = |robot| {
+                let of_robot = |part| frames.robot_frame(robot, part);
+                let (odom, base) = (of_robot(RobotFrame::Odom), of_robot(RobotFrame::BaseLink));
+                format!("{}, {odom} or {base}", frames.map(robot))
+            };
+            let examples = self.fleet.robots().next().map_or_else(String::new, of);
+            GoalError::Frame { frame: frame.to_owned(), examples }
+        })
     }
 
     /// Tells the navigator to cancel a robot's goal, to pause or to go on.

@@ -26,7 +26,8 @@ pub(super) struct SentGoal {
 impl SentGoal {
     /// What a robot does with it, by the state of its navigation.
     pub(super) fn progress(&mut self, now: Stamp, state: NavigationState) -> GoalProgress {
-        let is_occupied = state == NavigationState::Blocked(NavigationFailure::GoalOccupied);
+        use NavigationFailure::{GoalExcluded, GoalOccupied};
+        let is_occupied = matches!(state, NavigationState::Blocked(GoalOccupied | GoalExcluded(_)));
         self.occupied_since = is_occupied.then(|| self.occupied_since.unwrap_or(now));
         match state {
             NavigationState::Idle => GoalProgress::Idle,

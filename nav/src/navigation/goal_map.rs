@@ -86,7 +86,10 @@ impl GoalMap {
 
     fn draw(&mut self, config: &NavigatorConfig, input: &GoalMapInput) -> Result<(), NavigationFailure> {
         self.map.copy_window(&input.map, input.poses.position_m());
-        let goal = self.map.cell_at(input.goal_m).ok_or(NavigationFailure::GoalOutsideMap)?;
+        let goal = self.map.cell_at(input.goal_m).ok_or(match self.map.covers_map() {
+            true => NavigationFailure::GoalOutsideMap,
+            false => NavigationFailure::GoalTooFar,
+        })?;
         let is_unknown = self.map.occupancy(goal) == Occupancy::Unknown;
         match config.unknown_space {
             UnknownSpace::Avoid if is_unknown => return Err(NavigationFailure::GoalUnreachable),

@@ -60,14 +60,20 @@ pub enum NavigationFailure {
     /// The goal is in the merged map, and the robot's map is not part of it yet.
     #[error("the goal is in the merged map, and the robot's map is not merged yet")]
     NotMerged,
+    /// The goal lies outside the map.
+    #[error("the goal lies outside the map: nothing is known of the floor there")]
+    GoalOutsideMap,
     /// Robot and goal do not fit into one window of the planner.
     #[error(
-        "the goal lies outside the map, or more than 25 m from the robot, which is the farthest that it plans: send it there in steps"
+        "the goal is more than 25 m from the robot, which is the farthest that it plans: send it there in steps"
     )]
-    GoalOutsideMap,
+    GoalTooFar,
     /// An obstacle or an exclusion zone is at the goal.
-    #[error("the goal lies on an obstacle or in an exclusion zone, or too close to one")]
+    #[error("the goal lies on an obstacle, or too close to one or to an exclusion zone")]
     GoalOccupied,
+    /// The goal lies in an exclusion zone.
+    #[error("the goal lies in exclusion zone {0}")]
+    GoalExcluded(u32),
     /// No way that is wide enough leads to the goal.
     #[error("no way leads to the goal: unknown space, obstacles or zones lie between")]
     GoalUnreachable,

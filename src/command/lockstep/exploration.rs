@@ -9,8 +9,6 @@ use serde::Serialize;
 pub(super) struct WatchedExploration {
     channel: String,
     newest: Box<ExplorationReport>,
-    /// Seconds until now, or until it ended.
-    seconds: u32,
     /// Seconds in which each robot was lost.
     lost_s: Vec<u32>,
 }
@@ -27,7 +25,7 @@ pub(super) struct ExplorationOutcome {
 impl WatchedExploration {
     pub(super) fn new(robots: usize) -> Self {
         let channel = channel::exploration_state().name;
-        Self { channel, newest: Box::default(), seconds: 0, lost_s: vec![0; robots] }
+        Self { channel, newest: Box::default(), lost_s: vec![0; robots] }
     }
 
     /// Keeps a message that is a state of the exploration.
@@ -42,7 +40,6 @@ impl WatchedExploration {
         if self.has_ended() {
             return;
         }
-        self.seconds += 1;
         for (index, lost_s) in self.lost_s.iter_mut().enumerate() {
             *lost_s += u32::from(self.newest.robot(index) == ExplorerState::Lost);
         }
@@ -55,7 +52,7 @@ impl WatchedExploration {
 
     /// What the exploration came to until now.
     pub(super) fn outcome(self) -> ExplorationOutcome {
-        let answer = Answer::new(&self.newest, self.lost_s.len(), f64::from(self.seconds));
+        let answer = Answer::new(&self.newest, self.lost_s.len());
         ExplorationOutcome { answer, lost_s: self.lost_s }
     }
 }

@@ -14,7 +14,7 @@ use msg::{
 /// Period of the states while the exploration goes on, nanoseconds.
 const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 /// Why it stands while persons have all robots.
-const ALL_TAKEN: &str = "persons, the base or the emergency stop have all robots; release the stop if it is set, then resume or explore again";
+const ALL_TAKEN: &str = "people, the base or the emergency stop control all robots; release the stop if it is set, then resume or explore again";
 const MAP_TOO_LARGE: &str =
     "the map is larger than the 51 m on which exploration plans; what lies farther away was not looked at";
 const TOOK_TOO_LONG: &str = "something within reach is left: robots drove for a long time and saw nothing more; see what is left, and explore again";
@@ -30,6 +30,8 @@ pub(super) struct Exploration<P: Ports> {
     /// The state that goes out; its number is that of the newest command.
     report: ExplorationReport,
     reported_at: Option<Monotonic>,
+    /// When the exploration began.
+    begun: Option<Stamp>,
     has_changed: bool,
 }
 
@@ -45,6 +47,7 @@ impl<P: Ports> Exploration<P> {
             active: None,
             report: ExplorationReport::default(),
             reported_at: None,
+            begun: None,
             // The first state says that nobody explores.
             has_changed: true,
         })
@@ -108,6 +111,9 @@ impl<P: Ports> Exploration<P> {
     /// Starts it, or goes on with all robots but those that drive to a person's goal.
     pub(super) fn start(&mut self, navigator: &mut FleetNavigator, number: u64, stamp: Stamp) {
         let config = self.config;
+        if self.active.is_none() {
+            self.begun = Some(stamp);
+        }
         let exploration = self.active.get_or_insert_with(|| FleetExploration::new(config));
         for robot in &self.robots {
             let state = navigator.robots().find(|navigation| navigation.robot == *robot).map(|n| n.state);
@@ -151,6 +157,7 @@ impl<P: Ports> Exploration<P> {
         is_silent: &dyn Fn(RobotId) -> bool,
     ) {
         let Some(exploration) = &mut self.active else { return };
+        self.report.elapsed_s = self.begun.map_or(f64::NAN, |begun| input.stamp - begun);
         exploration.step(navigator, input, is_silent);
         match exploration.end() {
             Some(ExplorationEnd::Completed) => {
@@ -247,15 +254,23 @@ impl<P: Ports> Exploration<P> {
             let home = exploration.home(*robot).map(|home| [home.x_m, home.y_m, home.yaw_rad]);
             Some((robot.number(), exploration.is_manual(*robot), home))
         };
+        // What an exploration came to is of interest until the next one.
+        let report = if self.is_active() { &[][..] } else { bytemuck::bytes_of(&self.report) };
         SavedExploration {
             number: self.number(),
             is_active: self.is_active(),
+            begun_ns: self.begun.map(|begun| begun.0),
             robots: self.robots.iter().filter_map(of_robots).collect(),
+            report: report.to_vec(),
         }
     }
 
     /// Goes on with the exploration of an earlier process of this run.
     pub(super) fn restore(&mut self, saved: &SavedExploration) {
+        self.begun = saved.begun_ns.map(Stamp);
+        if let Ok(report) = bytemuck::try_pod_read_unaligned::<ExplorationReport>(&saved.report) {
+            self.report = report;
+        }
         self.report.number = saved.number;
         if !saved.is_active {
             return;

@@ -59,6 +59,10 @@ pub struct SavedExploration {
     /// Number of the newest command.
     pub(super) number: u64,
     pub(super) is_active: bool,
+    /// Stamp at which it began, nanoseconds.
+    pub(super) begun_ns: Option<i64>,
+    /// The state that went out last, as its channel has it; empty while an exploration goes on.
+    pub(super) report: Vec<u8>,
     /// Each robot, whether a person has it, and where it began, in its own map.
     pub(super) robots: Vec<(usize, bool, Option<[f64; 3]>)>,
 }

@@ -39,6 +39,7 @@ pub(super) fn exploration_json(
     json!({
         "state": report.status().name(),
         "reason": report.reason(),
+        "elapsed_s": finite(report.elapsed_s),
         "known_m2": finite(report.known_m2),
         "least_s": finite(report.least_s),
         "most_s": finite(report.most_s),

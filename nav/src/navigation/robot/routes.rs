@@ -5,6 +5,7 @@ use super::super::goal_map::GoalMapInput;
 use super::super::input::NavigatedRobot;
 use super::super::state::{NavigationFailure, NavigationState};
 use super::RobotNavigator;
+use crate::clearance_map::is_inside;
 use msg::{ExclusionZone, RobotId, Stamp};
 
 impl RobotNavigator {
@@ -72,7 +73,11 @@ impl RobotNavigator {
         let blocking = standing
             .iter()
             .find(|(_, at_m)| crate::geometry::distance_m(*at_m, goal_m) < self.config.separation_m);
+        let zone = input.zones.iter().find(|zone| is_inside(goal_m, zone.corners_m()));
         match (result, blocking) {
+            (Err(NavigationFailure::GoalOccupied), None) if zone.is_some() => {
+                Err(NavigationFailure::GoalExcluded(zone.map_or(0, |zone| zone.number)))
+            }
             (Err(NavigationFailure::GoalOccupied), Some((robot, _))) => Err(NavigationFailure::Robot(*robot)),
             (result, _) => result,
         }

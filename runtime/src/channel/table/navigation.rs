@@ -6,11 +6,13 @@ use crate::channel::Program::{ExploreTool, GotoTool, Launcher, LinkTool, RecordT
 use crate::channel::{Channel, ChannelRow, Scope, TypedRow};
 use msg::{
     ExclusionZones, ExplorationCommand, ExplorationReport, NavigationCommand, NavigationPlan,
-    NavigationReport, RobotHold, RobotId, VelocityCommand, ZoneCommand,
+    NavigationReport, RobotHold, RobotId, VelocityCommand, ZONES_MAX, ZoneCommand,
 };
 
 /// Newest commands of each writer that wait for a reader that is started again; as many as a reader's queue takes.
 const COMMANDS_KEPT: usize = 16;
+/// As many for zones, which programs add all at once: as many as may wait in the bridge.
+const ZONE_COMMANDS_KEPT: usize = 2 * ZONES_MAX;
 
 // Several writers: the bridge for its clients, and commands of people.
 pub(super) static GOAL: TypedRow<NavigationCommand> = TypedRow::new(ChannelRow {
@@ -52,7 +54,7 @@ pub(super) static NAVIGATION_STATE: TypedRow<NavigationReport> = TypedRow::new(C
     content: "what navigation does with the robot and why, on change and 1 Hz while it has a goal",
     scope: Scope::Robot,
     writers: &[Of(NAV)],
-    readers: &[Of(BRIDGE), Of(GotoTool), Of(RECORD), Of(RecordTool)],
+    readers: &[Of(BRIDGE), Of(GotoTool), Of(Launcher), Of(RECORD), Of(RecordTool)],
     depth: 16,
     ..STATE
 });
@@ -89,8 +91,8 @@ pub(super) static ZONE_COMMAND: TypedRow<ZoneCommand> = TypedRow::new(ChannelRow
     scope: Scope::Fleet,
     writers: &[Of(BRIDGE), Of(ZoneTool)],
     readers: &[Of(NAV)],
-    depth: COMMANDS_KEPT,
-    history: COMMANDS_KEPT,
+    depth: ZONE_COMMANDS_KEPT,
+    history: ZONE_COMMANDS_KEPT,
     writers_max: REQUEST_WRITERS_MAX,
     ..STREAM
 });
