@@ -217,6 +217,7 @@ impl ExplorationLeftover {
 }
 
 /// State of the fleet's exploration.
+// More than 12 fields: one message, whose variable parts have a length each.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct ExplorationReport {

@@ -4,6 +4,7 @@
 
 mod bridge_state;
 mod commands;
+mod exploration;
 mod graph_picture;
 mod html;
 mod map_picture;
@@ -17,6 +18,7 @@ mod workload;
 
 pub use bridge_state::BridgeState;
 pub use commands::{edge_command_json, navigation_command_json, operator_event_json, slam_request_json};
+pub use exploration::{ExplorationSummary, known_area};
 pub use graph_picture::{GraphEdge, GraphNode, graph_picture, tree_picture};
 pub use html::{Page, Row};
 pub use map_picture::{Trail, map_picture};

@@ -18,7 +18,7 @@ pub enum RestartInput {
 impl fmt::Display for RestartInput {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Folder => "what the run's folder holds",
+            Self::Folder => "what the run's folder or its runtime folder holds",
             Self::WorldFromBase => "the robot's last true pose (`--at`)",
             Self::MapFromOdom => "its session, else the last pose of `odom` in the map (`--at`)",
         })
@@ -69,7 +69,7 @@ const OF_FLEET: ProcessRow = ProcessRow {
     second_thread: None,
 };
 
-/// All processes of a fleet. The supervisor starts first what the first map needs.
+/// All processes of a fleet. The supervisor starts the bridge first, then what the first map needs.
 pub static PROCESSES: [ProcessRow; 7] = [
     ProcessRow {
         role: Role::Bridge,

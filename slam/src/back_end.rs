@@ -337,7 +337,7 @@ impl BackEnd {
         self.restore_retracted(&closures);
         self.solve(true);
         self.stages.stage_started(Stage::Link);
-        for id in self.nodes_around(&closures) {
+        for id in self.nodes_around_newer_ends(&closures) {
             let relative = self.uncertainty_from(id);
             self.link_near(id, &relative);
         }
@@ -346,8 +346,8 @@ impl BackEnd {
         self.break_odometry_at_conflicting_closures();
     }
 
-    /// Nodes around both ends of closures, without doubles, in order.
-    fn nodes_around(&self, closures: &[ClosureCandidate]) -> Vec<u32> {
+    /// Nodes around the newer ends of closures, without doubles, in order.
+    fn nodes_around_newer_ends(&self, closures: &[ClosureCandidate]) -> Vec<u32> {
         let newest = self.nodes.len() as u32 - 1;
         let span = |id: u32| id.saturating_sub(RELINK_NODES)..=(id + RELINK_NODES).min(newest);
         let mut ids: Vec<u32> = closures.iter().flat_map(|f| span(f.newer)).collect();

@@ -212,13 +212,9 @@ fn exchange(
                 waiting.hear(Instant::now());
             }
             let is_over = report.status().is_final();
-            had_goal |= !is_over && report.status() != NavigationStatus::Idle;
-            had_goal |= report.status() == NavigationStatus::Cancelled && report.header.sent.0 >= number;
-            if args.cancel && !had_goal {
-                return Ok(without_goal(&report));
-            }
+            had_goal |= shows_goal(&report, number);
             if args.cancel && (is_over || report.status() == NavigationStatus::Idle) {
-                return Ok(report);
+                return Ok(if had_goal { report } else { without_goal(&report) });
             }
             if report.number > number {
                 return Err(GotoError::Replaced(robot));
@@ -248,6 +244,13 @@ fn exchange(
         }
         wait([], Monotonic(crate::clock::now().0 + POLL_NS));
     }
+}
+
+/// Whether a state shows that the robot had a goal when the command with this number was sent.
+fn shows_goal(report: &NavigationReport, number: u64) -> bool {
+    let status = report.status();
+    let is_cancelled_now = status == NavigationStatus::Cancelled && report.header.sent.0 >= number;
+    is_cancelled_now || (!status.is_final() && status != NavigationStatus::Idle)
 }
 
 /// Returns the state of a robot that had no goal to cancel: what became of the last one is no result of this.

@@ -1,8 +1,8 @@
 //! What an exploration in lockstep came to.
 
 use crate::channel;
-use crate::command::explore::Answer;
 use msg::{ExplorationReport, ExplorerState, RobotId};
+use reports::ExplorationSummary;
 use serde::Serialize;
 
 /// An exploration, followed by the fleet's messages.
@@ -17,7 +17,7 @@ pub(super) struct WatchedExploration {
 #[derive(Serialize)]
 pub(super) struct ExplorationOutcome {
     #[serde(flatten)]
-    answer: Answer,
+    answer: ExplorationSummary,
     /// Time in which each robot did not know its place, seconds.
     lost_s: Vec<u32>,
 }
@@ -52,7 +52,7 @@ impl WatchedExploration {
 
     /// What the exploration came to until now.
     pub(super) fn outcome(self) -> ExplorationOutcome {
-        let answer = Answer::new(&self.newest, self.lost_s.len());
+        let answer = ExplorationSummary::new(&self.newest, self.lost_s.len());
         ExplorationOutcome { answer, lost_s: self.lost_s }
     }
 }
