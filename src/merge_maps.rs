@@ -119,16 +119,17 @@ impl<S: Storage> MapFiles<S> {
             return;
         }
         self.due = now + PERIOD;
+        let had_failed = std::mem::take(&mut self.has_failed);
         for (robot, map) in maps.take() {
             let path = path(&self.folder, robot);
             let written =
                 gzip::pack(&self.encode(&map)).and_then(|bytes| self.storage.replace(&path, &bytes));
             if let Err(why) = &written
-                && !self.has_failed
+                && !had_failed
             {
                 tracing::warn!("merge: {}: {why}; the next change is tried again", path.display());
             }
-            self.has_failed = written.is_err();
+            self.has_failed |= written.is_err();
         }
     }
 

@@ -187,10 +187,12 @@ impl Observer {
     pub fn changed_edges(&mut self) -> Vec<EdgeView> {
         let Some(edges) = self.edges.newest() else { return Vec::new() };
         let before = self.newest_edges.edges();
-        let changed = edges.edges().iter().enumerate().filter(|(index, edge)| {
-            before.get(*index).map_or(EdgeState::None, |before| before.state()) != edge.state()
-        });
-        let changed_edges = changed.map(|(_, edge)| EdgeView::new(edge)).collect();
+        // The list has those that have a state: an edge that is new moves all after it.
+        let state_before = |id: u32| {
+            before.iter().find(|before| before.id == id).map_or(EdgeState::None, |before| before.state())
+        };
+        let changed = edges.edges().iter().filter(|edge| state_before(edge.id) != edge.state());
+        let changed_edges = changed.map(EdgeView::new).collect();
         *self.newest_edges = *edges;
         changed_edges
     }

@@ -53,8 +53,8 @@ struct RobotDrive {
     is_navigated: bool,
     /// Whether the robot takes part in the fleet's exploration.
     is_exploring: bool,
-    /// Whether the navigator was told to drive the robot and has not said that it does.
-    is_to_be_navigated: bool,
+    /// Number of the newest command to drive the robot that the navigator has not answered; 0 without one.
+    unanswered: u64,
 }
 
 impl RobotDrive {
@@ -211,32 +211,36 @@ impl DriveArbiter {
     /// Returns whether the navigator drives a robot, or will when it has read what it was told: it may hang or be starting again.
     pub fn is_or_will_be_navigated(&self, robot: RobotId) -> bool {
         let state = &self.robots[robot.index()];
-        state.is_navigated || state.is_exploring || state.is_to_be_navigated
+        state.is_navigated || state.is_exploring || state.unanswered > 0
     }
 
-    /// Records that the navigator was told to drive a robot.
-    pub fn expect_navigation(&mut self, robot: RobotId) {
-        self.robots[robot.index()].is_to_be_navigated = true;
+    /// Records that the navigator was told to drive a robot, by the command with this number.
+    pub fn expect_navigation(&mut self, robot: RobotId, number: u64) {
+        self.robots[robot.index()].unanswered = number;
+    }
+
+    /// Records that the navigator has answered the robot's commands up to this number.
+    pub fn confirm_navigation(&mut self, robot: RobotId, number: u64) {
+        let state = &mut self.robots[robot.index()];
+        if state.unanswered <= number {
+            state.unanswered = 0;
+        }
     }
 
     /// Records that the navigator was told to leave a robot to people.
     pub fn end_navigation(&mut self, robot: RobotId) {
         let state = &mut self.robots[robot.index()];
-        (state.is_navigated, state.is_exploring, state.is_to_be_navigated) = (false, false, false);
+        (state.is_navigated, state.is_exploring, state.unanswered) = (false, false, 0);
     }
 
     /// Records whether a robot takes part in the exploration. It does so between two goals too.
     pub fn set_exploring(&mut self, robot: RobotId, is_exploring: bool) {
-        let state = &mut self.robots[robot.index()];
-        state.is_exploring = is_exploring;
-        state.is_to_be_navigated &= !is_exploring;
+        self.robots[robot.index()].is_exploring = is_exploring;
     }
 
     /// Records whether the navigator drives a robot to a goal.
     pub fn set_navigated(&mut self, robot: RobotId, is_navigated: bool) {
-        let state = &mut self.robots[robot.index()];
-        state.is_navigated = is_navigated;
-        state.is_to_be_navigated &= !is_navigated;
+        self.robots[robot.index()].is_navigated = is_navigated;
     }
 
     /// Gives the lease of a robot to a driver; returns the other one that held it.

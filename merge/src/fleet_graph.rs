@@ -141,7 +141,9 @@ impl FleetPoseGraph {
     /// # Errors
     /// [`SubmapRejected`] says why the submap is not taken.
     pub fn add_submap(&mut self, robot: RobotId, submap: &Submap) -> Result<(), SubmapRejected> {
-        self.check_source(robot, (submap.grid.header.incarnation, submap.generation))?;
+        if !self.check_source(robot, (submap.grid.header.incarnation, submap.generation))? {
+            return Ok(());
+        }
         let added = self.robots[robot.index()].submaps.add(submap);
         if added { Ok(()) } else { Err(SubmapRejected::Malformed(robot)) }
     }
@@ -154,8 +156,15 @@ impl FleetPoseGraph {
     /// [`SubmapRejected`] says why the poses are not taken.
     pub fn update_poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), SubmapRejected> {
         self.check_run(robot, poses.run)?;
-        self.check_source(robot, (poses.header.incarnation, poses.generation))?;
+        let source = (poses.header.incarnation, poses.generation);
+        if !self.check_source(robot, source)? {
+            return Ok(());
+        }
         let index = robot.index();
+        // SLAM never has fewer in one generation: it was started again, on another machine, where nothing else tells.
+        if poses.poses().len() < self.robots[index].submaps.poses().len() {
+            self.restart_source(index, source);
+        }
         let submaps = &mut self.robots[index].submaps;
         let changed = submaps.update_poses(poses).ok_or(SubmapRejected::Malformed(robot))?;
         let has_map = changed && !submaps.poses().is_empty();
@@ -360,19 +369,26 @@ impl FleetPoseGraph {
         Ok(())
     }
 
-    /// Handles submaps of a new generation. A SLAM that was restarted, or that forgets nodes, continues in the same
-    /// frame with new submaps: the robot keeps its transform, and loses submaps and closures.
-    fn check_source(&mut self, robot: RobotId, source: SubmapSource) -> Result<(), SubmapRejected> {
+    /// Handles submaps of a new generation. Returns whether a message of this source is to be taken: one of an older generation came
+    /// late, as poses and submaps have a channel each.
+    fn check_source(&mut self, robot: RobotId, source: SubmapSource) -> Result<bool, SubmapRejected> {
         let index = robot.index();
         let known = self.robots.get_mut(index).ok_or(SubmapRejected::UnknownRobot(robot))?;
+        let is_older =
+            |current: SubmapSource| current.0 == source.0 && source.1.wrapping_sub(current.1) > u32::MAX / 2;
         match known.submaps.source() {
-            Some(current) if current == source => return Ok(()),
-            None => {
-                known.submaps.set_source(source);
-                return Ok(());
-            }
-            Some(_) => known.restart(source),
+            Some(current) if current == source => {}
+            Some(current) if is_older(current) => return Ok(false),
+            None => known.submaps.set_source(source),
+            Some(_) => self.restart_source(index, source),
         }
+        Ok(true)
+    }
+
+    /// Begins anew with a robot's submaps. A SLAM that was restarted, or that forgets nodes, continues in the same frame with new submaps:
+    /// the robot keeps its transform, and loses submaps and closures.
+    fn restart_source(&mut self, index: usize, source: SubmapSource) {
+        self.robots[index].restart(source);
         for pair in (0..self.pairs.len()).filter(|pair| robots_of_pair(*pair).contains(&index)) {
             let in_graph = self.a_from_b_in_graph(pair);
             self.pairs[pair].restart(in_graph);
@@ -383,7 +399,6 @@ impl FleetPoseGraph {
             let transform = self.robots[index].estimate.map_from_robot_map();
             reference.map_from_robot_map = transform.unwrap_or(reference.map_from_robot_map);
         }
-        Ok(())
     }
 }
 

@@ -39,7 +39,8 @@ pub type Error = Box<dyn std::error::Error>;
 
 /// What the help says below the tools.
 const FOR_PROGRAMS: &str = "With --json a tool prints JSON to standard output, and messages for people to standard error. \
-     If it fails, its exit code is not 0 and the JSON says why: {\"error\": \"...\"}, or the result with its state.";
+     If it fails, its exit code is not 0 and the JSON says why: {\"error\": \"...\"}, or the result with \
+     its state or alarms.";
 
 /// Multi-robot SLAM for one operator: a fleet, its maps, and a bridge to headset and ROS 2
 #[derive(Parser)]

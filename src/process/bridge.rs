@@ -66,8 +66,7 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
         // Every robot gets a zero before anything else: what moved it before is not known.
         let now = ports.clock().now();
         bridge.tick(now);
-        let files = start_files(restore_files(&bridge, run, storage, now))?;
-        let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, files)));
+        // Before the files: a stop that they restore pauses what waits in the channels.
         let goals = open_goals(ports, run, &bridge)?;
         let exploration = open_shared(ports, &channel::explore())?;
         let writer: SharedWriter<P, ExplorationCommand> = exploration.clone();
@@ -75,6 +74,8 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
         let zones = open_shared(ports, &channel::zone_command())?;
         let writer: SharedWriter<P, ZoneCommand> = zones.clone();
         bridge.on_zone(move |command| writer.borrow_mut().send(&command));
+        let files = start_files(restore_files(&bridge, run, storage, now))?;
+        let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, files)));
         let mut feeds = open_feeds(ports, run, &bridge)?;
         for robot in run.robots() {
             let receive = move |bridge: &Bridge, response: &SlamResponse| {

@@ -129,7 +129,9 @@ impl<W: FileWorker> Control<W> {
         }
     }
 
-    fn apply(&self, request: Request) -> Result<(), RequestError> {
+    /// Applies a request at this time: pauses of navigation are numbered by it, above goals that other programs have sent before.
+    fn apply(&self, request: Request, now: Monotonic) -> Result<(), RequestError> {
+        self.bridge.tick(now);
         match request {
             Request::State => {}
             Request::Allow(address) => self.bridge.allow(check_peer_address(address)?),
@@ -186,15 +188,20 @@ async fn change<W: FileWorker>(
     match request {
         Request::State => Ok(()),
         Request::Stop => {
-            control.borrow().apply(request)?;
+            control.borrow().apply(request, clock())?;
             // It is set; that it does not outlive the bridge is said where it is written.
             let _ = save(control, clock()).await;
             Ok(())
         }
+        // Nobody drives on, or keeps a connection, while the disk is slow.
+        Request::Deny(_) | Request::Drop(_) => {
+            control.borrow().apply(request, clock())?;
+            save(control, clock()).await
+        }
         _ => {
             // What was written on the disk before this request comes first.
             save(control, clock()).await?;
-            control.borrow().apply(request)?;
+            control.borrow().apply(request, clock())?;
             save(control, clock()).await
         }
     }

@@ -12,7 +12,7 @@ use crate::relay::ReceivedMessage;
 use crate::router::{ClientId, Publication, RefusalKind, Source, TopicId};
 use crate::teleop::Stick;
 use crate::world::{Incoming, WorldError};
-use msg::{EdgeCommand, Monotonic, OperatorAction, RobotId};
+use msg::{EdgeCommand, Monotonic, OperatorAction, PauseReason, RobotId};
 use ros_messages::cdr::{DecodeError, Reader, with_dummy_byte};
 use ros_messages::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as};
 use thiserror::Error;
@@ -222,6 +222,7 @@ impl Core {
             InputPurpose::EmergencyStop => {
                 // A button that is released sends `false`: that must not release the stop.
                 if self.decode::<Bool>(payload)?.0 {
+                    self.commands.record_time(now);
                     self.set_emergency_stop();
                 }
                 Ok(())
@@ -310,11 +311,12 @@ impl Core {
         velocity: Velocity,
         now: Monotonic,
     ) -> Result<(), InputError> {
+        let is_new_driver = self.gate.drive().leaseholder(robot, now).is_none();
         let decision = self.gate.request(self.driver(id), robot, velocity, now);
         self.send_velocities();
         match decision {
             GateDecision::Passed(passed) => {
-                self.pause_if_moving(robot, passed, now);
+                self.pause_if_moving(robot, passed, now, is_new_driver);
                 Ok(())
             }
             // A client never gives way to the base.
@@ -353,7 +355,7 @@ impl Core {
         };
         self.commands.record_time(now);
         for robot in robots {
-            self.pause_navigation([robot]);
+            self.push_pause(robot, PauseReason::Person);
             let before = self.gate.take_control(self.driver(id), robot, now);
             self.send_velocities();
             self.commands.push_operator_event(OperatorAction::TakeControl, Some(robot));

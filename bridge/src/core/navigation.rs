@@ -181,7 +181,7 @@ impl Core {
         let frame = self.navigation_frame(frame)?;
         let number = self.commands.next_navigation_number();
         self.commands.push_navigation(robot, NavigationCommand::goal(number, frame, &poses));
-        self.gate.drive_mut().expect_navigation(robot);
+        self.gate.drive_mut().expect_navigation(robot, number);
         self.offered.actions.replace(robot, number, now);
         Ok(number)
     }
@@ -237,7 +237,9 @@ impl Core {
         self.commands.record_time(now);
         self.command_navigation(robot, action);
         if action == NavigationAction::Resume {
-            self.gate.drive_mut().expect_navigation(robot);
+            // Reports name the goal, not the resumption: it counts as unanswered until a newer goal is.
+            let number = self.commands.newest_time().0;
+            self.gate.drive_mut().expect_navigation(robot, number);
         }
         Ok(())
     }
@@ -280,6 +282,7 @@ impl Core {
         let is_active =
             !status.is_final() && !matches!(status, NavigationStatus::Idle | NavigationStatus::Paused);
         self.gate.drive_mut().set_navigated(robot, is_active);
+        self.gate.drive_mut().confirm_navigation(robot, report.number);
         if self.gate.drive().is_stopped() {
             self.pause_navigation_because([robot], PauseReason::EmergencyStop);
         }
@@ -291,6 +294,7 @@ impl Core {
         for robot in robots {
             let is_exploring = !report.status().is_final() && report.robot(robot.index()).may_drive();
             self.gate.drive_mut().set_exploring(robot, is_exploring);
+            self.gate.drive_mut().confirm_navigation(robot, report.number);
             if self.gate.drive().is_stopped() {
                 self.pause_navigation_because([robot], PauseReason::EmergencyStop);
             }
@@ -339,7 +343,7 @@ impl Core {
         self.commands.set_exploration(ExplorationCommand::new(number, action));
         if starts {
             let robots: Vec<RobotId> = self.fleet.robots().collect();
-            robots.into_iter().for_each(|robot| self.gate.drive_mut().expect_navigation(robot));
+            robots.into_iter().for_each(|robot| self.gate.drive_mut().expect_navigation(robot, number));
         }
         Ok(())
     }

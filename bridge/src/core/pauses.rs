@@ -6,10 +6,22 @@ use msg::{CommandSource, Monotonic, NavigationCommand, PauseReason, RobotId};
 use std::net::IpAddr;
 
 impl Core {
-    /// Pauses a robot's navigation if a person's velocity moves it.
-    pub(super) fn pause_if_moving(&mut self, robot: RobotId, velocity: Velocity, now: Monotonic) {
-        if velocity != Velocity::ZERO {
-            self.commands.record_time(now);
+    /// Pauses a robot's navigation if a person's velocity moves it. One who begins to drive pauses what this bridge does not know of, too: a
+    /// command line tells the navigator itself, and a bridge that was started again has forgotten what its clients have sent.
+    pub(super) fn pause_if_moving(
+        &mut self,
+        robot: RobotId,
+        velocity: Velocity,
+        now: Monotonic,
+        is_new_driver: bool,
+    ) {
+        if velocity == Velocity::ZERO {
+            return;
+        }
+        self.commands.record_time(now);
+        if is_new_driver {
+            self.push_pause(robot, PauseReason::Person);
+        } else {
             self.pause_navigation([robot]);
         }
     }
@@ -39,7 +51,7 @@ impl Core {
         robots.into_iter().for_each(|robot| self.push_pause(robot, reason));
     }
 
-    fn push_pause(&mut self, robot: RobotId, reason: PauseReason) {
+    pub(super) fn push_pause(&mut self, robot: RobotId, reason: PauseReason) {
         self.gate.drive_mut().end_navigation(robot);
         let number = self.commands.next_navigation_number();
         self.commands.push_navigation(robot, NavigationCommand::pause(number, reason));
@@ -55,7 +67,7 @@ impl Core {
             .robots()
             .filter(|robot| {
                 is_theirs(self.commands.goal_sender(*robot))
-                    || explores && self.gate.drive().is_exploring(*robot)
+                    || explores && self.gate.drive().is_or_will_be_navigated(*robot)
             })
             .collect();
         self.pause_navigation(robots);

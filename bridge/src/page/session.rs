@@ -292,7 +292,12 @@ impl Session {
 
     fn unadvertise(&mut self, id: u32) -> Result<OwnedFrame, SessionError> {
         let (topic, _) = self.publications.remove(&id).ok_or(SessionError::NoSuchChannel(id.into()))?;
-        Ok(registration(name::REMOVE_PUBLISHER, &topic, ""))
+        // A client may publish on a topic by several channels.
+        let other = self.publications.values().find(|(other, _)| *other == topic);
+        Ok(match other {
+            Some((topic, message_type)) => registration(name::PUBLISH, topic, message_type),
+            None => registration(name::REMOVE_PUBLISHER, &topic, ""),
+        })
     }
 }
 

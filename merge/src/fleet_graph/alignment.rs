@@ -251,6 +251,8 @@ impl CheckResult {
             if pair.edge.is_active() {
                 match pair.edge.record_check(found, &self.config.check) {
                     CheckVerdict::Confirmed => {}
+                    // The operator's word stands whatever the maps say: it is looked at again when they have grown, as any other.
+                    CheckVerdict::Contradicted if pair.edge.is_pinned() => {}
                     CheckVerdict::Contradicted => pair.schedule.checked_at_nodes = 0,
                     CheckVerdict::Refuted => {
                         pair.schedule.checked_at_nodes = 0;

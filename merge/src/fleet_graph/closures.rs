@@ -180,7 +180,7 @@ impl ClosureSet {
         let mut best: Option<(f64, [usize; 2], Pose2)> = None;
         let mut looked_at = 0;
         let exhausted = self.exhausted([a, b]);
-        for i in 0..a.submaps.poses().len() {
+        'pairs: for i in 0..a.submaps.poses().len() {
             for j in 0..b.submaps.poses().len() {
                 let Some(predicted) = predict_overlap([a, b], [i, j]) else { continue };
                 let attempt = self.attempts.get(&(i, j));
@@ -196,7 +196,7 @@ impl ClosureSet {
                     best = Some((distance_m, [i, j], predicted));
                 }
                 if looked_at >= LOOKED_AT_MAX {
-                    break;
+                    break 'pairs;
                 }
             }
         }

@@ -225,6 +225,11 @@ impl MapEdge {
         again
     }
 
+    /// Whether the operator has pinned it.
+    pub fn is_pinned(&self) -> bool {
+        self.state == EdgeState::Pinned
+    }
+
     /// Records a comparison of the two maps where the graph has them.
     pub fn record_check(&mut self, found: Evidence, config: &CheckConfig) -> CheckVerdict {
         // This comparison is of one place, so the margins over other places stay as they were.

@@ -95,9 +95,7 @@ pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
     if runs.is_empty() && lost.is_empty() {
         return Err(RunError::NoneRunning.into());
     }
-    // Latched everywhere before a bridge that does not answer costs time.
-    let latched: Vec<_> = runs.into_iter().map(latch).collect();
-    let fleets = confirm_all(latched, lost);
+    let fleets = stop_all(runs, lost);
     output::print_either(args.json, &fleets, || fleets.iter().map(StoppedFleet::line).collect())?;
     let (all, failed) = (fleets.len(), fleets.iter().filter(|fleet| fleet.may_drive()).count());
     if failed > 0 { Err(PermissionError::NotStopped { failed, all }) } else { Ok(()) }
@@ -126,10 +124,11 @@ fn absolute(dir: &Path) -> PathBuf {
     parent.zip(path.file_name()).map_or_else(|| path.clone(), |(parent, name)| parent.join(name))
 }
 
-/// Asks all bridges at once: the robots of one fleet do not drive on while another bridge does not answer.
-fn confirm_all(latched: Vec<Latched>, lost: Vec<LostFleet>) -> Vec<StoppedFleet> {
+/// Asks all bridges at once, and writes to the disk meanwhile: the robots of one fleet do not drive on while another bridge does not
+/// answer, or while a disk is slow.
+fn stop_all(runs: Vec<PathBuf>, lost: Vec<LostFleet>) -> Vec<StoppedFleet> {
     std::thread::scope(|scope| {
-        let confirmed = latched.into_iter().map(|fleet| scope.spawn(move || confirm(fleet)));
+        let confirmed = runs.into_iter().map(|dir| scope.spawn(move || confirm(dir)));
         let mut asked: Vec<_> = confirmed.collect();
         asked.extend(lost.into_iter().map(|fleet| scope.spawn(move || stop_lost(fleet))));
         let answer = |thread: ScopedJoinHandle<'_, _>| thread.join().unwrap_or_else(|why| resume_unwind(why));
@@ -164,30 +163,31 @@ fn stop_lost(fleet: LostFleet) -> StoppedFleet {
     }
 }
 
-/// A run's folder with the result of writing its stop to the disk.
-type Latched = (PathBuf, Result<(), String>);
-
 /// Latches the stop in a run's folder, whether or not its fleet can be reached.
-fn latch(dir: PathBuf) -> Latched {
-    let path = stop_file(&dir);
-    let written = if dir.join("run.json").exists() {
+fn latch(dir: &Path) -> Result<(), String> {
+    let path = stop_file(dir);
+    if dir.join("run.json").exists() {
         latch_stop(&DiskStorage, &path, crate::clock::now())
             .map_err(|why| format!("{}: {why}", path.display()))
     } else {
         Err(RunError::NoneRunning.to_string())
-    };
-    (dir, written)
+    }
 }
 
-fn confirm((dir, written): Latched) -> StoppedFleet {
+fn confirm(dir: PathBuf) -> StoppedFleet {
     let begun = crate::clock::now();
-    let asked = match Run::open_running(&dir) {
+    let ask = || match Run::open_running(&dir) {
         Ok(run) => match why_unconfirmed(control::ask_again(&run, Request::Stop, PATIENCE)) {
             None => Ok(unconfirmed_robots(&run, begun)),
             Some(why) => Err(why),
         },
         Err(why) => Err(why.to_string()),
     };
+    // A bridge that does not answer now sets the stop when it goes on or is replaced.
+    let (asked, written) = std::thread::scope(|scope| {
+        let latched = scope.spawn(|| latch(&dir));
+        (ask(), latched.join().unwrap_or_else(|why| resume_unwind(why)))
+    });
     let (confirmed, latched) = (asked.is_ok(), written.is_ok());
     let [unconfirmed, unheard] = asked.as_ref().ok().cloned().unwrap_or_default();
     let why = written.err().or(asked.err());
@@ -257,6 +257,10 @@ pub fn release(args: &StopArgs) -> Result<(), PermissionError> {
             })?;
             "the bridge does not run; the stop is removed from the disk, and the next bridge lets robots be driven. A stop that \
              was not confirmed may have paused nobody"
+        }
+        // It may have done so before the answer was lost.
+        Err(why @ AskError::NoAnswer { .. }) => {
+            return Err(fail(format!("{why}; whether the emergency stop is released is not known")));
         }
         Err(why) => return Err(fail(format!("{why}; the emergency stop holds, try again"))),
     };

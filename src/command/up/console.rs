@@ -63,10 +63,11 @@ impl<'a> OperatorConsole<'a> {
             'r' => (Request::Release, "the robots may be driven again".into()),
             _ => return None,
         };
-        // On the disk first: a bridge that does not answer now sets the stop when it goes on or is replaced.
+        // The bridge first: a disk may be slow. One that does not answer now sets the stop when it goes on or is replaced.
+        let answer = control::ask(self.run, request, PATIENCE);
         let is_latched = request == Request::Stop
             && latch_stop(&DiskStorage, &stop_file(&self.run.dir), crate::clock::now()).is_ok();
-        Some(match control::ask(self.run, request, PATIENCE) {
+        Some(match answer {
             Ok(state) => {
                 self.newest = Some(state);
                 done

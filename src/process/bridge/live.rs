@@ -3,6 +3,7 @@
 use super::feeds::Feed;
 use super::{BridgeProcess, PeriodicTasks, page};
 use crate::clock::now;
+use crate::config::RobotSource;
 use crate::event_loop;
 use crate::nasa_tlx;
 use crate::offered_room;
@@ -47,10 +48,10 @@ async fn serve(
     let is_in_ros = run.config.bridge.dds.enabled;
     let endpoint = is_in_ros.then(|| ros2::open(run, stop, &bridge)).transpose()?;
     if run.config.bridge.page.enabled {
-        let room = offered_room::file(run);
+        let room = (run.config.world == RobotSource::Simulator).then(|| offered_room::file(run));
         let (config, save_tlx) = (run.config.bridge.page.clone(), nasa_tlx::saver(run));
         let run_id = page::run_id(run.pid, run.begun);
-        let page = page::serve(bridge.clone(), config, run_id, Some(room), Some(save_tlx), listeners);
+        let page = page::serve(bridge.clone(), config, run_id, room, Some(save_tlx), listeners);
         tasks.push(spawn_local(page));
     }
     tasks.push(spawn_local(control::serve(control::listen(run)?, periodic_tasks.control.clone())));

@@ -17,6 +17,8 @@ use msg::{
 use std::collections::BTreeSet;
 use std::time::Duration;
 
+/// Longest age of a velocity that is sent on: this process may have waited for the disk, and the sender may be dead.
+const VELOCITY_AGE_MAX: Duration = Duration::from_millis(200);
 /// Period of the base's clock.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 /// More generations than a process of SLAM has.
@@ -326,7 +328,9 @@ impl<P: Ports> RobotMirror<P> {
         self.tell(now);
         let index = self.robot.index();
         let mut send = |kind, bytes: &[u8]| transport.send(index, kind, bytes);
-        if let Some(command) = self.channels.commands.newest() {
+        let is_timely =
+            |command: &VelocityCommand| now.since(command.header.sent) <= VELOCITY_AGE_MAX.as_nanos() as u64;
+        if let Some(command) = self.channels.commands.newest().filter(|command| is_timely(command)) {
             self.end.send_velocity(&command, now, &mut send);
         }
         self.end.poll(now, &mut send);

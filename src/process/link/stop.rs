@@ -64,18 +64,17 @@ impl StopControl for RunStop {
 fn serve(run: &Run, period: Duration, requests: &Receiver<bool>, state: &Mutex<LocalControl>) {
     loop {
         let request = match requests.recv_timeout(period) {
-            Ok(true) => {
-                // The disk first: the stop outlives a bridge that does not answer.
-                if let Err(why) = latch_stop(&DiskStorage, &stop_file(&run.dir), crate::clock::now()) {
-                    tracing::warn!("the emergency stop of the base is not on the disk: {why}");
-                }
-                Request::Stop
-            }
+            Ok(true) => Request::Stop,
             Ok(false) => Request::Release,
             Err(RecvTimeoutError::Timeout) => Request::State,
             Err(RecvTimeoutError::Disconnected) => return,
         };
+        let is_stop = request == Request::Stop;
         let asked = control::ask(run, request, PATIENCE);
+        // The bridge first, as a disk may be slow. On the disk the stop outlives a bridge that does not answer.
+        if is_stop && let Err(why) = latch_stop(&DiskStorage, &stop_file(&run.dir), crate::clock::now()) {
+            tracing::warn!("the emergency stop of the base is not on the disk: {why}");
+        }
         let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
         *state = match asked {
             Ok(bridge) => LocalControl {

@@ -79,8 +79,11 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
             }
             Some(NavigationAction::Pause) => {
                 let reason = PauseReason::from_code(command.pause_reason).unwrap_or_default();
-                // The reason of one that is paused already stays.
-                self.pause_if_driven(robot, reason);
+                let is_driven = self.pause_if_driven(robot, reason);
+                // The stop has to be released before all else; else the reason of one that is paused already stays.
+                if !is_driven && reason == PauseReason::EmergencyStop {
+                    self.robots[index].pause_reason = reason;
+                }
             }
             Some(NavigationAction::Resume) => {
                 self.exploration.release_manual(&self.navigator, robot);

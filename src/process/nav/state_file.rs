@@ -182,7 +182,7 @@ impl<S: Storage> FileJobs for NavigationFile<S> {
                     "{path}: {why}; until it can be written, a restarted navigation begins without goals, exploration and zones"
                 ),
                 Err(_) => tracing::warn!(
-                    "{path}: {why}; until it can be written, a restarted navigation goes on with what it has"
+                    "{path}: {why}; until it can be written, a restarted navigation goes on with the goals of the last state that was written, which may be cancelled since"
                 ),
             }
         }

@@ -34,9 +34,12 @@ impl RobotNavigator {
             (self.searched, self.followed) = (None, None);
             return Twist::STOP;
         }
+        if active.arrived_at.is_none() {
+            // Once: a robot that its turns move away and back has no more time for that.
+            active.progress.restart(now);
+        }
         if !active.is_at_position(poses.odom_from_base) {
             active.arrived_at = Some(poses.odom_from_base);
-            active.progress.restart(now);
         }
         let turns_on = next == NextPose::SamePlace;
         if let Some(yaw_rad) = pose.and_then(|pose| pose.yaw_rad) {
