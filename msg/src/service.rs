@@ -116,6 +116,25 @@ pub enum SlamRequestKind {
 }
 
 impl SlamRequestKind {
+    /// Returns whether it changes the map or the robot's place in it.
+    pub fn changes_map(self) -> bool {
+        match self {
+            Self::Reset
+            | Self::LoadSession
+            | Self::SetPose
+            | Self::Relocalize
+            | Self::UndoClosure
+            | Self::ClearClosures
+            | Self::SetMode => true,
+            Self::State
+            | Self::Pause
+            | Self::Resume
+            | Self::SaveMap
+            | Self::SaveSession
+            | Self::ListClosures => false,
+        }
+    }
+
     /// All kinds in the order of their codes.
     pub const ALL: [Self; 13] = [
         Self::State,

@@ -222,8 +222,7 @@ impl Core {
             InputPurpose::EmergencyStop => {
                 // A button that is released sends `false`: that must not release the stop.
                 if self.decode::<Bool>(payload)?.0 {
-                    self.commands.record_time(now);
-                    self.set_emergency_stop();
+                    self.set_emergency_stop_at(now);
                 }
                 Ok(())
             }

@@ -44,6 +44,12 @@ impl Core {
         }
     }
 
+    /// Sets the emergency stop at this time: its pauses are numbered by it, above what other programs have sent before.
+    pub(super) fn set_emergency_stop_at(&mut self, now: Monotonic) {
+        self.commands.record_time(now);
+        self.set_emergency_stop();
+    }
+
     /// Pauses the navigation of all robots, those included of which this bridge does not know that somebody has sent them: a command
     /// line tells the navigator itself, which may hang or be starting again.
     pub(super) fn pause_all_navigation(&mut self, reason: PauseReason) {

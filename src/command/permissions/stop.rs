@@ -11,6 +11,7 @@ use crate::storage::{DiskStorage, Storage};
 use msg::{Monotonic, PauseReason};
 use reports::BridgeState;
 use serde::Serialize;
+use std::io;
 use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::thread::ScopedJoinHandle;
@@ -164,13 +165,13 @@ fn stop_lost(fleet: LostFleet) -> StoppedFleet {
 }
 
 /// Latches the stop in a run's folder, whether or not its fleet can be reached.
-fn latch(dir: &Path) -> Result<(), String> {
+fn latch(dir: &Path) -> io::Result<()> {
     let path = stop_file(dir);
     if dir.join("run.json").exists() {
         latch_stop(&DiskStorage, &path, crate::clock::now())
-            .map_err(|why| format!("{}: {why}", path.display()))
+            .map_err(|why| io::Error::new(why.kind(), format!("{}: {why}", path.display())))
     } else {
-        Err(RunError::NoneRunning.to_string())
+        Err(io::Error::other(RunError::NoneRunning))
     }
 }
 
@@ -190,7 +191,7 @@ fn confirm(dir: PathBuf) -> StoppedFleet {
     });
     let (confirmed, latched) = (asked.is_ok(), written.is_ok());
     let [unconfirmed, unheard] = asked.as_ref().ok().cloned().unwrap_or_default();
-    let why = written.err().or(asked.err());
+    let why = written.err().map(|why| why.to_string()).or(asked.err());
     StoppedFleet { run: dir, confirmed, latched, why, unconfirmed, unheard, lost: None }
 }
 
@@ -354,7 +355,7 @@ mod tests {
                 read_request(&asked);
                 [asked, waits].into_iter().for_each(confirm_stop);
             });
-            confirm_all(Vec::new(), lost.into())
+            stop_all(Vec::new(), lost.into())
         });
         let lines: Vec<String> = fleets.iter().map(StoppedFleet::line).collect();
         assert!(fleets.iter().all(|fleet| !fleet.may_drive()), "{lines:?}");

@@ -245,8 +245,18 @@ impl WorkerState {
     }
 
     /// Continues with a loaded session.
+    ///
+    /// It is saved at once: a process that is started again goes on with it, and not with the map of before.
     pub fn load(&mut self, loaded: Loaded) {
         self.replace(loaded.front, loaded.back, false);
+        self.autosave.save_soon();
+    }
+
+    /// Changes the mode, and saves at once: a process that is started again keeps to it.
+    pub fn set_mode(&mut self, mode: SlamMode) {
+        self.back.set_mode(mode);
+        self.mark_changed();
+        self.autosave.save_soon();
     }
 
     /// Returns how many requests wait for the scan path's state.

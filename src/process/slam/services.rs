@@ -90,6 +90,9 @@ impl<P: Ports> Services<P> {
     fn apply(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
         let ask =
             SlamRequestKind::from_code(request.kind).ok_or(RequestRefused::UnknownRequest(request.kind))?;
+        if self.loading && ask.changes_map() {
+            return Err(RequestRefused::Loading);
+        }
         match ask {
             SlamRequestKind::State => done(""),
             SlamRequestKind::Pause => self.pause(true, request, state),
@@ -122,8 +125,7 @@ impl<P: Ports> Services<P> {
                 if mode == SlamMode::Localization {
                     has_map(state)?;
                 }
-                state.back.set_mode(mode);
-                state.mark_changed();
+                state.set_mode(mode);
                 done(&format!("mode is {}", mode.name()))
             }
         }
@@ -156,9 +158,6 @@ impl<P: Ports> Services<P> {
     }
 
     fn load_session(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
-        if self.loading {
-            return Err(RequestRefused::Loading);
-        }
         let mode = mode_of(request)?;
         if InitialPoseKind::from_code(request.initial_pose_kind) == Some(InitialPoseKind::Given) {
             pose_of(request)?;
