@@ -33,7 +33,7 @@ pub struct CommandQueues {
     exploration: Option<ExplorationCommand>,
     zones: VecDeque<ZoneCommand>,
     operator_events: VecDeque<OperatorEvent>,
-    /// Who gave each robot its newest goal.
+    /// Who gave each robot its newest goal, or had it go on to it.
     goal_senders: [CommandSource; ROBOTS_MAX],
     /// Who started or stopped the exploration last.
     exploration_sender: CommandSource,
@@ -155,13 +155,19 @@ impl CommandQueues {
         if self.navigation.len() == NAVIGATION_MAX {
             self.navigation.pop_front();
         }
-        if command.action() == Some(NavigationAction::Goal) {
+        if matches!(command.action(), Some(NavigationAction::Goal | NavigationAction::Resume)) {
             self.goal_senders[robot.index()] = self.sender;
         }
         self.navigation.push_back((robot, NavigationCommand { sender: self.sender, ..command }));
     }
 
-    /// Returns who gave a robot its newest goal.
+    /// Sets who gave a robot its newest goal, and who started the exploration, before this bridge began.
+    pub fn restore_senders(&mut self, goals: &[(RobotId, CommandSource)], exploration: CommandSource) {
+        goals.iter().for_each(|(robot, sender)| self.goal_senders[robot.index()] = *sender);
+        self.exploration_sender = exploration;
+    }
+
+    /// Returns who gave a robot its newest goal, or had it go on to it.
     pub fn goal_sender(&self, robot: RobotId) -> CommandSource {
         self.goal_senders[robot.index()]
     }

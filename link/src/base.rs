@@ -55,7 +55,7 @@ pub enum BaseEvent {
 pub struct Hold {
     /// Why it does not; `None`: nothing is known to hold it.
     pub reason: Option<PauseReason>,
-    /// Number of stops and of drives by hand at its machine that have been noticed.
+    /// Tells the stops and drives by hand at its machine apart from those before: its run and their number in it. 0: not known.
     pub interruptions: u64,
 }
 
@@ -65,25 +65,27 @@ struct HeardState {
     newest: RobotState,
     /// When it arrived; 0: never.
     received: Monotonic,
-    /// Stops and drives by hand that have been noticed.
-    interruptions: u64,
     /// Whether it is of the session that counts. Before, nobody knows of which run that session's messages are.
     is_of_session: bool,
 }
 
 impl HeardState {
-    /// Returns the state after one that has arrived, which may tell of an interruption.
+    /// Returns the state after one that has arrived. The number of interruptions that its bridge did not say is the one of before.
     fn replaced_by(self, mut newest: RobotState, received: Monotonic) -> Self {
-        let before = self.newest;
-        let is_same_run = before.run == newest.run;
-        let is_known = |state: RobotState| state.interruptions != INTERRUPTIONS_UNKNOWN;
-        if is_same_run && !is_known(newest) {
-            newest.interruptions = before.interruptions;
+        if self.received.0 > 0
+            && self.newest.run == newest.run
+            && newest.interruptions == INTERRUPTIONS_UNKNOWN
+        {
+            newest.interruptions = self.newest.interruptions;
         }
-        let has_counted = is_known(before) && before.interruptions != newest.interruptions;
-        let is_interrupted = self.received.0 > 0 && (!is_same_run || has_counted);
-        let interruptions = self.interruptions + u64::from(is_interrupted);
-        Self { newest, received, interruptions, is_of_session: true }
+        Self { newest, received, is_of_session: true }
+    }
+
+    /// Returns what tells the robot's interruptions apart from those before: whoever reads it may have been started again. 0: not known.
+    fn interruptions(&self) -> u64 {
+        let RobotState { run, interruptions, .. } = self.newest;
+        let is_known = self.received.0 > 0 && interruptions != INTERRUPTIONS_UNKNOWN;
+        if is_known { ((u64::from(run) << 32) | u64::from(interruptions)) + 1 } else { 0 }
     }
 }
 
@@ -157,7 +159,7 @@ impl BaseEnd {
 
     /// Returns whether the robot follows this base.
     pub fn hold(&self) -> Hold {
-        let HeardState { newest, interruptions, .. } = self.robot_state;
+        let (newest, interruptions) = (self.robot_state.newest, self.robot_state.interruptions());
         let reason = match newest {
             // It keeps the list of the parts that its base holds.
             RobotState { list_of, .. } if list_of != 0 && list_of != self.peer.session => {

@@ -53,6 +53,10 @@ impl StopFollower {
         is_stopped: Option<bool>,
         now: Monotonic,
     ) -> Option<StopRequest> {
+        // One whose bridge does not answer is heard all the same: its stop is not another's to release.
+        if let Some(holder) = self.holders.iter_mut().find(|holder| holder.session == base) {
+            holder.heard = now;
+        }
         if !state.is_known {
             return None;
         }
@@ -80,7 +84,7 @@ impl StopFollower {
         }
         self.released = None;
         match known {
-            Some(index) => self.holders[index].heard = now,
+            Some(_) => {}
             None if self.holders.len() < HOLDERS_MAX => {
                 self.holders.push(Holder { session: base, heard: now });
             }
@@ -170,6 +174,20 @@ mod tests {
         assert_eq!(follow(2, false, false, 11), None, "released at the robot");
         assert_eq!(follow(2, true, false, 12), Some(StopRequest::Set));
         assert_eq!(follow(2, false, true, 13), Some(StopRequest::Release));
+    }
+
+    #[test]
+    fn the_stop_of_a_base_whose_bridge_does_not_answer_is_not_another_bases_to_release() {
+        let mut follower = StopFollower::default();
+        let at = |seconds: u64| Monotonic(seconds * 1_000_000_000);
+        assert_eq!(follower.follow(1, said(true), Some(false), at(1)), Some(StopRequest::Set));
+        assert_eq!(follower.follow(2, said(true), Some(true), at(1)), None);
+        // The first one's bridge hangs, and its link goes on.
+        (2..20).for_each(|second| {
+            assert_eq!(follower.follow(1, BaseState::default(), Some(true), at(second)), None);
+        });
+        assert_eq!(follower.follow(2, said(false), Some(true), at(20)), None, "the first one is heard");
+        assert_eq!(follower.follow(1, said(false), Some(true), at(21)), Some(StopRequest::Release));
     }
 
     #[test]

@@ -316,7 +316,7 @@ impl NavigationReport {
 pub struct RobotHold {
     /// Header whose `stamp` is not used.
     pub header: Header,
-    /// Number of stops and of drives by hand at the robot's machine that the base knows of. Each ends a drive to a goal.
+    /// Changes with each stop and each drive by hand at the robot's machine, which end a drive to a goal. 0: not known yet.
     pub interruptions: u64,
     /// Code of a [`PauseReason`]; 0: nothing is known to hold the robot.
     pub reason: u32,

@@ -81,6 +81,12 @@ pub enum EdgesError {
         /// Folder of the run.
         run: PathBuf,
     },
+    /// Merging was started again between the command and its answer.
+    #[error("run {}: merging was started again meanwhile; whether the command was carried out is not known: see `mr-slam edges`", run.display())]
+    Restarted {
+        /// Folder of the run.
+        run: PathBuf,
+    },
     /// The edges cannot be written to standard output.
     #[error("cannot print the edges: {0}")]
     Print(#[from] std::io::Error),
@@ -125,8 +131,8 @@ impl Action {
 fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, EdgesError> {
     let node = Participant::open(&run.domain, Opener::of_fleet(Program::EdgesTool), "edges")?;
     let mut reader = node.reader(&channel::merge_edges())?;
-    let begun = Instant::now();
     let mut next = |wanted: &dyn Fn(&MergeEdges) -> bool| -> Result<Box<MergeEdges>, EdgesError> {
+        let begun = Instant::now();
         while begun.elapsed() < PATIENCE {
             if let Some(edges) = reader.newest()
                 && wanted(&edges)
@@ -142,10 +148,14 @@ fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, Edges
     // The writer lives until all have looked, because a message of a closed writer may never be read.
     let mut writer = node.writer(&channel::edge_command())?;
     writer.send(&EdgeCommand { sender: CommandSource::LAPTOP, ..command });
-    let after = next(&|edges| edges.commands != before.commands);
+    let is_of_same = |edges: &MergeEdges| edges.header.incarnation == before.header.incarnation;
+    let after = next(&|edges| edges.commands != before.commands || !is_of_same(edges));
     // A recorder may not have looked yet.
     let_readers_look();
     let after = after?;
+    if !is_of_same(&after) {
+        return Err(EdgesError::Restarted { run: run.dir.clone() });
+    }
     if after.refused != before.refused {
         return Err(EdgesError::Refused { run: run.dir.clone() });
     }

@@ -22,8 +22,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Period at which the thread polls its channels without being woken.
 const POLL_NS: u64 = 500_000_000;
-/// Time after which missing submaps are requested, and requested again.
+/// Time after which missing submaps are requested, and requested again; longer each time while that brings none.
 const REQUEST_NS: u64 = 3_000_000_000;
+const REQUEST_MAX_NS: u64 = 60_000_000_000;
 /// Niceness of this thread: it gets less processor time than the threads that robots wait for.
 const NICE: i32 = 10;
 
@@ -164,6 +165,10 @@ struct Source<P: Ports> {
     lost: u64,
     /// Moment since which a submap has been missing.
     missing_since: Option<Monotonic>,
+    /// How many were missing at the last request; 0 before the first.
+    missing_before: usize,
+    /// Time until the next request.
+    pause_ns: u64,
 }
 
 impl<P: Ports> Source<P> {
@@ -175,6 +180,8 @@ impl<P: Ports> Source<P> {
             requests: ports.writer(&channel::submap_request(robot))?,
             lost: 0,
             missing_since: None,
+            missing_before: 0,
+            pause_ns: REQUEST_NS,
         })
     }
 
@@ -186,15 +193,18 @@ impl<P: Ports> Source<P> {
         while let Some(submap) = self.submaps.receive() {
             let _ = graph.add_submap(self.robot, &submap);
         }
-        let lost = self.submaps.receive_counts().lost;
-        if graph.missing_submaps(self.robot) == 0 && lost == self.lost {
-            self.missing_since = None;
+        let (lost, missing) = (self.submaps.receive_counts().lost, graph.missing_submaps(self.robot));
+        if missing == 0 && lost == self.lost {
+            (self.missing_since, self.missing_before, self.pause_ns) = (None, 0, REQUEST_NS);
             return;
         }
         let since = *self.missing_since.get_or_insert(now);
-        if now.since(since) >= REQUEST_NS {
+        if now.since(since) >= self.pause_ns {
+            // Submaps without a known place never come, while each request has SLAM send all others anew.
+            let was_in_vain = lost == self.lost && (1..=missing).contains(&self.missing_before);
+            self.pause_ns = if was_in_vain { (2 * self.pause_ns).min(REQUEST_MAX_NS) } else { REQUEST_NS };
             self.requests.send(&SubmapRequest::default());
-            (self.lost, self.missing_since) = (lost, None);
+            (self.lost, self.missing_since, self.missing_before) = (lost, None, missing);
         }
     }
 }

@@ -96,7 +96,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
     ) -> Result<Self, Error> {
         let file = NavigationFile::new(run, storage);
         let found = file.read();
-        let saved = if let Found::State(saved) = &found { Some(saved.clone()) } else { None };
+        let saved = if let Found::State(saved) = &found { Some((**saved).clone()) } else { None };
         let clock = ports.clock();
         let channels = |robot| {
             Ok(RobotChannels {
@@ -129,7 +129,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
             listeners: listeners.collect::<Result<_, _>>()?,
         };
         if let Found::State(saved) = found {
-            process.restore(saved);
+            process.restore(*saved);
             return Ok(process);
         }
         if let Err(why) = process.zones.add_furniture(run) {
@@ -170,6 +170,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
         }
         self.exploration.restore(&saved.exploration);
         self.zones.restore(&saved.zones);
+        self.holds.restore(&saved.holds);
         for saved in saved.goals {
             let Some(channels) =
                 self.robots.iter_mut().find(|channels| channels.robot.number() == saved.robot)
@@ -261,6 +262,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
             goals: goals.collect(),
             exploration: self.exploration.saved(),
             zones: self.zones.saved(),
+            holds: self.holds.saved(),
         };
         self.saved.write(state, now);
     }

@@ -3,6 +3,7 @@
 use super::Bridge;
 use crate::core::Core;
 use msg::{CommandSource, OperatorEvent, RobotId};
+use std::net::IpAddr;
 
 impl Bridge {
     /// Sets where actions of operators go, for the record. It must not call the bridge.
@@ -43,6 +44,25 @@ impl Bridge {
     /// Selects the robot again that was selected before this bridge began.
     pub fn restore_selection(&self, robot: RobotId) {
         self.update(|core| select_present(core, robot));
+    }
+
+    /// Returns the addresses of those who gave robots their newest goals, and of who started or stopped the exploration last, where clients
+    /// did.
+    pub fn navigation_senders(&self) -> (Vec<(RobotId, IpAddr)>, Option<IpAddr>) {
+        let core = self.core.borrow();
+        let ip = |sender: CommandSource| sender.address().map(|peer| peer.ip());
+        let of_robot = |robot| Some((robot, ip(core.commands.goal_sender(robot))?));
+        (core.fleet.robots().filter_map(of_robot).collect(), ip(core.commands.exploration_sender()))
+    }
+
+    /// Sets what [`Bridge::navigation_senders`] returned in an earlier bridge of the run: who is denied now loses these goals, too.
+    pub fn restore_navigation_senders(&self, goals: &[(RobotId, IpAddr)], exploration: Option<IpAddr>) {
+        let client = |address: IpAddr| CommandSource::client((address, 0).into());
+        let core = &mut *self.core.borrow_mut();
+        let robot_count = core.fleet.robot_count();
+        let known = goals.iter().filter(|(robot, _)| robot.number() <= robot_count);
+        let goals: Vec<_> = known.map(|(robot, address)| (*robot, client(*address))).collect();
+        core.commands.restore_senders(&goals, exploration.map_or_else(CommandSource::default, client));
     }
 
     /// Changes the core in the name of the person at the laptop.

@@ -28,13 +28,20 @@ impl<S: Storage> PermissionFiles<S> {
     /// Allows the addresses of the allow list to drive.
     pub fn allow(&self, bridge: &Bridge) {
         if let Some(path) = &self.allowed {
-            self.read(path).into_iter().for_each(|address| bridge.allow(address));
+            self.read(path).into_iter().flatten().for_each(|address| bridge.allow(address));
         }
     }
 
-    /// Forbids the denied addresses to drive.
+    /// Forbids the denied addresses to drive. If nobody knows who is denied, the emergency stop is set: a person decides then.
     pub fn deny(&self, bridge: &Bridge) {
-        self.read(&self.denied).into_iter().for_each(|address| bridge.deny(address));
+        if let Some(addresses) = self.read(&self.denied) {
+            addresses.into_iter().for_each(|address| bridge.deny(address));
+        } else {
+            tracing::warn!(
+                "who may not drive is not known: the emergency stop is set; deny anew who must not, then `mr-slam release`"
+            );
+            bridge.stop_robots();
+        }
     }
 
     /// Writes a permission into the files of those who may drive and of those who may not.
@@ -46,8 +53,8 @@ impl<S: Storage> PermissionFiles<S> {
         })
     }
 
-    /// Reads a list of addresses, and reports what cannot be read.
-    fn read(&self, path: &Path) -> Vec<IpAddr> {
+    /// Reads a list of addresses, and reports what cannot be read; `None`: the whole file.
+    fn read(&self, path: &Path) -> Option<Vec<IpAddr>> {
         match allowed::read(&self.storage, path) {
             Ok((addresses, unsound)) => {
                 unsound.iter().for_each(|line| {
@@ -56,11 +63,11 @@ impl<S: Storage> PermissionFiles<S> {
                         path.display()
                     )
                 });
-                addresses
+                Some(addresses)
             }
             Err(why) => {
                 tracing::warn!("{}: {why}; no address is taken from it", path.display());
-                Vec::new()
+                None
             }
         }
     }

@@ -42,8 +42,12 @@ impl BridgeSnapshot {
     pub fn take(bridge: &Bridge, run_begun: Monotonic, stops_applied: u64, now: Monotonic) -> Self {
         let driver =
             |(robot, address): (RobotId, Option<IpAddr>)| SavedDriver { robot: robot.number(), address };
+        let (goals, explores) = bridge.navigation_senders();
+        let sender = |(robot, address): (RobotId, IpAddr)| (robot.number(), address);
         let state = SavedState {
             run: run_begun.0,
+            goals: goals.into_iter().map(sender).collect(),
+            explores,
             selected: bridge.selected_robot().number(),
             drivers: bridge.drivers(now).into_iter().map(driver).collect(),
             allowed: bridge.allowed_addresses(),
@@ -64,6 +68,10 @@ struct SavedState {
     drivers: Vec<SavedDriver>,
     /// Addresses on the allow list.
     allowed: Vec<IpAddr>,
+    /// Who gave which robot its newest goal.
+    goals: Vec<(usize, IpAddr)>,
+    /// Who started or stopped the exploration last.
+    explores: Option<IpAddr>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -120,6 +128,9 @@ impl<S: Storage> SavedFiles<S> {
                         bridge.restore_driver(robot, driver.address, until);
                     }
                 }
+                let sender = |(robot, address): &(usize, IpAddr)| Some((RobotId::new(*robot)?, *address));
+                let goals: Vec<_> = state.goals.iter().filter_map(sender).collect();
+                bridge.restore_navigation_senders(&goals, state.explores);
                 files.saved = state;
             }
             Ok(_) => {}

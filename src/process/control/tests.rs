@@ -5,8 +5,9 @@ use crate::process::file_thread::JobWorker;
 use crate::storage::DiskStorage;
 use ::bridge::BridgeConfig;
 use formats::map_file::MapFileError;
-use msg::{Grid, GridView};
+use msg::{Grid, GridView, NavigationAction, NavigationReport, NavigationStatus, RobotId};
 use saved_state::{latch_stop, stop_file};
+use std::net::IpAddr;
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex};
 
@@ -179,4 +180,57 @@ fn a_bridge_that_does_not_change_reads_the_stop_file_and_one_that_changes_saves_
     bridge.release_stop();
     (3..13).for_each(|step| control.update_files(Monotonic(second + step)));
     assert_eq!(control.files.count, 17, "what a full disk refused is tried again each time");
+}
+
+#[test]
+fn who_is_denied_does_not_wait_for_the_disk() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path());
+    let disk = StalledDisk::new();
+    let control = control_on(&run, &disk);
+    disk.set_open(false);
+    let address = [10, 0, 0, 7].into();
+    let deny = answer(&control, Request::Deny(address), now);
+    assert!(block_on(async { timeout(Duration::from_millis(1), deny).await }).is_err(), "no answer yet");
+    assert_eq!(control.borrow().bridge.denied_addresses(), [address]);
+    disk.set_open(true);
+}
+
+#[test]
+fn a_file_of_denied_addresses_that_cannot_be_read_sets_the_emergency_stop() {
+    for content in [&b"10.0.0.7\n"[..], b"", b"\xff\xfe10.0.0.7\n"] {
+        let folder = tempfile::tempdir().unwrap();
+        let run = run_in(folder.path());
+        std::fs::write(saved_state::denied_file(&run), content).unwrap();
+        let bridge = Bridge::new(run.config.bridge.clone(), 2, |_, _| {}).unwrap();
+        restore_files(&bridge, &run, DiskStorage, Monotonic(0));
+        let is_text = std::str::from_utf8(content).is_ok();
+        assert_eq!(bridge.is_stopped(), !is_text, "{content:?}");
+    }
+}
+
+#[test]
+fn who_is_denied_after_a_restart_of_the_bridge_loses_the_goals_of_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path());
+    let disk = StalledDisk::new();
+    disk.set_open(true);
+    let (robot, address) = (RobotId::new(1).unwrap(), IpAddr::from([10, 0, 0, 7]));
+    let control = control_on(&run, &disk);
+    control.borrow().bridge.restore_navigation_senders(&[(robot, address)], None);
+    block_on(answer(&control, Request::Stop, now)).unwrap();
+    block_on(answer(&control, Request::Release, now)).unwrap();
+    drop(control);
+
+    let bridge = Bridge::new(run.config.bridge.clone(), 2, |_, _| {}).unwrap();
+    restore_files(&bridge, &run, DiskStorage, Monotonic(0));
+    let paused = Rc::new(RefCell::new(Vec::new()));
+    let sink = paused.clone();
+    bridge.on_navigation(move |robot, command| sink.borrow_mut().push((robot, command.action())));
+    let driving = NavigationReport { status: NavigationStatus::Driving as u32, ..Default::default() };
+    bridge.publish(::bridge::FleetMessage::NavigationState(robot, &driving));
+    bridge.deny([10, 0, 0, 8].into());
+    assert!(paused.borrow().is_empty(), "another one's denial");
+    bridge.deny(address);
+    assert_eq!(paused.take(), [(robot, Some(NavigationAction::Pause))]);
 }

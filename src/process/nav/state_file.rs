@@ -38,6 +38,8 @@ pub struct SavedState {
     pub(super) goals: Vec<SavedGoal>,
     pub(super) exploration: SavedExploration,
     pub(super) zones: SavedZones,
+    /// Each robot on another machine, and what its machine had said of stops and drives by hand.
+    pub(super) holds: Vec<(usize, u64)>,
 }
 
 /// Exclusion zones of the fleet.
@@ -118,7 +120,7 @@ pub(super) enum Found {
     /// It is the first of its run.
     Nothing,
     /// The state of an earlier one.
-    State(SavedState),
+    State(Box<SavedState>),
     /// There was an earlier one, whose state could not be written or is damaged: its commands must not be carried out again.
     Lost,
 }
@@ -145,7 +147,7 @@ impl<S: Storage> NavigationFile<S> {
             result => result,
         };
         match bytes.and_then(|bytes| Ok(serde_json::from_slice::<Saved>(&bytes)?)) {
-            Ok(saved) if saved.run == self.run_begun => Found::State(saved.state),
+            Ok(saved) if saved.run == self.run_begun => Found::State(Box::new(saved.state)),
             Ok(_) => Found::Nothing,
             Err(why) => {
                 tracing::warn!(
