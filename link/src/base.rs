@@ -81,7 +81,7 @@ impl HeardState {
         Self { newest, received, is_of_session: true }
     }
 
-    /// Returns what tells the robot's interruptions apart from those before: whoever reads it may have been started again. 0: not known.
+    /// Returns what tells the robot's interruptions apart from those before: a reader may have been started again meanwhile. 0: not known.
     fn interruptions(&self) -> u64 {
         let RobotState { run, interruptions, .. } = self.newest;
         let is_known = self.received.0 > 0 && interruptions != INTERRUPTIONS_UNKNOWN;
