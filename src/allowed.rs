@@ -33,7 +33,8 @@ pub fn read(storage: &impl Storage, path: &Path) -> io::Result<(Vec<IpAddr>, Vec
         Err(why) if why.kind() == io::ErrorKind::NotFound => return Ok(Default::default()),
         Err(why) => return Err(why),
     };
-    let text = String::from_utf8(bytes).map_err(io::Error::other)?;
+    // What is no text is among the lines that are no addresses.
+    let text = String::from_utf8_lossy(&bytes);
     let (mut addresses, mut unsound) = (Vec::new(), Vec::new());
     for line in text.lines() {
         let word = line.split('#').next().unwrap_or_default().trim();

@@ -1,8 +1,9 @@
 //! Bounded queues of clients' commands to the rest of the fleet.
 
 use msg::{
-    CommandSource, EdgeCommand, ExplorationCommand, Monotonic, NavigationAction, NavigationCommand,
-    OperatorAction, OperatorEvent, ROBOTS_MAX, RobotId, SlamRequest, VelocityCommand, ZONES_MAX, ZoneCommand,
+    CommandSource, EdgeCommand, ExplorationAction, ExplorationCommand, Monotonic, NavigationAction,
+    NavigationCommand, OperatorAction, OperatorEvent, ROBOTS_MAX, RobotId, SlamRequest, VelocityCommand,
+    ZONES_MAX, ZoneCommand,
 };
 use std::collections::VecDeque;
 
@@ -21,6 +22,7 @@ const ZONE_COMMANDS_MAX: usize = 2 * ZONES_MAX;
 const OPERATOR_EVENTS_MAX: usize = 2 * ROBOTS_MAX;
 
 /// Commands for robots, merging, SLAM and navigation that wait until the caller of the bridge takes them.
+// More than 12 fields: a queue for each kind of command, and who sent what is not over.
 #[derive(Debug)]
 pub struct CommandQueues {
     velocities: VecDeque<(RobotId, VelocityCommand)>,
@@ -35,8 +37,10 @@ pub struct CommandQueues {
     operator_events: VecDeque<OperatorEvent>,
     /// Who gave each robot its newest goal, or had it go on to it.
     goal_senders: [CommandSource; ROBOTS_MAX],
-    /// Who started or stopped the exploration last.
+    /// Who started the exploration that may go on.
     exploration_sender: CommandSource,
+    /// Number of that command while the navigator has not answered it.
+    unanswered_exploration: Option<u64>,
     /// Who sends what is queued now.
     sender: CommandSource,
     velocities_taken: u64,
@@ -55,6 +59,7 @@ impl Default for CommandQueues {
             operator_events: VecDeque::new(),
             goal_senders: [CommandSource::default(); ROBOTS_MAX],
             exploration_sender: CommandSource::default(),
+            unanswered_exploration: None,
             sender: CommandSource::BRIDGE,
             velocities_taken: 0,
         }
@@ -164,7 +169,22 @@ impl CommandQueues {
     /// Sets who gave a robot its newest goal, and who started the exploration, before this bridge began.
     pub fn restore_senders(&mut self, goals: &[(RobotId, CommandSource)], exploration: CommandSource) {
         goals.iter().for_each(|(robot, sender)| self.goal_senders[robot.index()] = *sender);
-        self.exploration_sender = exploration;
+        (self.exploration_sender, self.unanswered_exploration) = (exploration, Some(0));
+    }
+
+    /// Records that the navigator has answered the commands about the exploration up to this number, and whether it is over.
+    pub fn confirm_exploration(&mut self, number: u64, is_over: bool) {
+        if self.unanswered_exploration.is_none_or(|unanswered| unanswered <= number) {
+            self.unanswered_exploration = None;
+            if is_over {
+                self.exploration_sender = CommandSource::default();
+            }
+        }
+    }
+
+    /// Returns whether the navigator may not have read yet that the exploration was started.
+    pub fn is_exploration_unanswered(&self) -> bool {
+        self.unanswered_exploration.is_some()
     }
 
     /// Returns who gave a robot its newest goal, or had it go on to it.
@@ -172,7 +192,7 @@ impl CommandQueues {
         self.goal_senders[robot.index()]
     }
 
-    /// Returns who started or stopped the exploration last.
+    /// Returns who started the exploration that may go on.
     pub fn exploration_sender(&self) -> CommandSource {
         self.exploration_sender
     }
@@ -184,7 +204,9 @@ impl CommandQueues {
 
     /// Sets the command about the exploration that is taken next; it replaces one that has not been taken.
     pub fn set_exploration(&mut self, command: ExplorationCommand) {
-        self.exploration_sender = self.sender;
+        let starts = command.action() == Some(ExplorationAction::Start);
+        self.exploration_sender = if starts { self.sender } else { CommandSource::default() };
+        self.unanswered_exploration = starts.then_some(command.number);
         self.exploration = Some(command);
     }
 

@@ -142,9 +142,11 @@ impl FleetPoseGraph {
     /// # Errors
     /// [`SubmapRejected`] says why the submap is not taken.
     pub fn add_submap(&mut self, robot: RobotId, submap: &Submap) -> Result<(), SubmapRejected> {
-        if !self.check_source(robot, (submap.grid.header.incarnation, submap.generation))? {
+        let source = (submap.grid.header.incarnation, submap.generation);
+        if self.is_late_submap(robot, source) {
             return Ok(());
         }
+        self.check_source(robot, source)?;
         let added = self.robots[robot.index()].submaps.add(submap);
         if added { Ok(()) } else { Err(SubmapRejected::Malformed(robot)) }
     }
@@ -158,9 +160,7 @@ impl FleetPoseGraph {
     pub fn update_poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), SubmapRejected> {
         self.check_run(robot, poses.run)?;
         let source = (poses.header.incarnation, poses.generation);
-        if !self.check_source(robot, source)? {
-            return Ok(());
-        }
+        self.check_source(robot, source)?;
         let index = robot.index();
         // SLAM never has fewer in one generation: it was started again, on another machine, where nothing else tells.
         if poses.poses().len() < self.robots[index].submaps.poses().len() {

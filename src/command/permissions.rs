@@ -111,14 +111,22 @@ pub fn allow(args: &AllowArgs) -> Result<(), PermissionError> {
     }
 }
 
-/// Forbids an address to drive: on the disk first, so that a bridge that does not answer starts with it.
+/// Forbids an address to drive, at once on the disk, too: a bridge that does not answer starts with it.
 pub fn deny(args: &DenyArgs) -> Result<(), PermissionError> {
     let address = args.address;
     let run = args.common.run.open_to_change()?;
     let denied = denied_file(&run);
-    let written = allowed::remember(&DiskStorage, &denied, address, true)
-        .and_then(|()| allowed::remember(&DiskStorage, &allowed::file(&run), address, false));
-    let bridge = ask(&run, Request::Deny(address)).map_err(|error| match written {
+    let write = || {
+        allowed::remember(&DiskStorage, &denied, address, true)
+            .and_then(|()| allowed::remember(&DiskStorage, &allowed::file(&run), address, false))
+    };
+    // A disk may be slow, and who drives must not drive on meanwhile.
+    let (asked, written) = std::thread::scope(|scope| {
+        let written = scope.spawn(write);
+        let asked = ask(&run, Request::Deny(address));
+        (asked, written.join().unwrap_or_else(|why| std::panic::resume_unwind(why)))
+    });
+    let bridge = asked.map_err(|error| match written {
         Ok(()) => PermissionError::DeniedLater { address, error: Box::new(error) },
         Err(_) => error,
     })?;

@@ -199,7 +199,8 @@ impl<P: Ports> Source<P> {
             return;
         }
         let since = *self.missing_since.get_or_insert(now);
-        if now.since(since) >= self.pause_ns {
+        let is_new = lost != self.lost || missing > self.missing_before;
+        if now.since(since) >= if is_new { REQUEST_NS } else { self.pause_ns } {
             // Submaps without a known place never come, while each request has SLAM send all others anew.
             let was_in_vain = lost == self.lost && (1..=missing).contains(&self.missing_before);
             self.pause_ns = if was_in_vain { (2 * self.pause_ns).min(REQUEST_MAX_NS) } else { REQUEST_NS };

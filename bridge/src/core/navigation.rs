@@ -290,6 +290,7 @@ impl Core {
 
     /// Records which robots explore: a person takes them out by driving them, between two goals too.
     pub fn record_exploration(&mut self, report: &ExplorationReport) {
+        self.commands.confirm_exploration(report.number, report.status().is_final());
         let robots: Vec<RobotId> = self.fleet.robots().collect();
         for robot in robots {
             let is_exploring = !report.status().is_final() && report.robot(robot.index()).may_drive();

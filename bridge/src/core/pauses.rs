@@ -7,7 +7,7 @@ use std::net::IpAddr;
 
 impl Core {
     /// Pauses a robot's navigation if a person's velocity moves it. One who begins to drive pauses what this bridge does not know of, too: a
-    /// command line tells the navigator itself, and a bridge that was started again has forgotten what its clients have sent.
+    /// command line tells the navigator itself, and a bridge that was started again has forgotten what others have sent.
     pub(super) fn pause_if_moving(
         &mut self,
         robot: RobotId,
@@ -68,14 +68,16 @@ impl Core {
         let is_theirs =
             |sender: CommandSource| sender.address().is_some_and(|peer| peer.ip() == address.to_canonical());
         let explores = is_theirs(self.commands.exploration_sender());
+        let is_unanswered = self.commands.is_exploration_unanswered();
         let robots: Vec<RobotId> = self
             .fleet
             .robots()
             .filter(|robot| {
                 is_theirs(self.commands.goal_sender(*robot))
-                    || explores && self.gate.drive().is_or_will_be_navigated(*robot)
+                    || explores && (is_unanswered || self.gate.drive().is_exploring(*robot))
             })
             .collect();
-        self.pause_navigation(robots);
+        // Whether they drive is not asked: a bridge that was just started does not know yet.
+        robots.into_iter().for_each(|robot| self.push_pause(robot, PauseReason::Person));
     }
 }

@@ -74,6 +74,34 @@ fn goals_of_a_client_that_is_denied_are_paused() {
     assert_eq!(commands.take(), [(robot(1), Some(NavigationAction::Pause))], "robot 2 has another's goal");
 }
 
+#[test]
+fn an_exploration_of_a_client_that_is_denied_is_paused_until_it_is_over() {
+    let denied = [127, 0, 0, 1];
+    let all = [robot(1), robot(2)].map(|robot| (robot, Some(NavigationAction::Pause)));
+    let begin = || {
+        let (bridge, commands) = bridge();
+        let client = LocalClient::connect(&bridge);
+        client.publish::<Bool>("/explore/resume");
+        client.send("/explore/resume", &Bool(true), Monotonic(1));
+        (bridge, commands)
+    };
+    // Navigation has not read it.
+    let (bridge, commands) = begin();
+    bridge.deny(denied.into());
+    assert_eq!(commands.take(), all);
+    // It is over, and the second robot drives to a goal of somebody else.
+    let (bridge, commands) = begin();
+    let over = ExplorationReport {
+        number: u64::MAX,
+        status: ExplorationStatus::Completed as u32,
+        ..ExplorationReport::default()
+    };
+    bridge.publish(FleetMessage::ExplorationState(&over));
+    bridge.publish(FleetMessage::NavigationState(robot(2), &report(NavigationStatus::Driving)));
+    bridge.deny(denied.into());
+    assert!(commands.borrow().is_empty(), "the goal is another's: {commands:?}");
+}
+
 /// Navigation hangs, or is starting again: it has not said that it drives, and reads all that waits later.
 #[test]
 fn what_navigation_has_not_read_yet_is_paused_by_a_stop_and_by_a_person() {

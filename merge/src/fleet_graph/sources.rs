@@ -12,24 +12,28 @@ impl FleetPoseGraph {
         Ok(())
     }
 
-    /// Handles submaps of a new generation. Returns whether a message of this source is to be taken: one of an older generation came
-    /// late, as poses and submaps have a channel each.
+    /// Returns whether a submap of this source came late, as poses and submaps have a channel each: it is of an older generation than
+    /// the poses. Poses of an older generation are those of a SLAM that was started again on another machine, which begins at 0.
+    pub(super) fn is_late_submap(&self, robot: RobotId, source: SubmapSource) -> bool {
+        let current = self.robots.get(robot.index()).and_then(|known| known.submaps.source());
+        current
+            .is_some_and(|current| current.0 == source.0 && source.1.wrapping_sub(current.1) > u32::MAX / 2)
+    }
+
+    /// Handles submaps or poses of a new source.
     pub(super) fn check_source(
         &mut self,
         robot: RobotId,
         source: SubmapSource,
-    ) -> Result<bool, SubmapRejected> {
+    ) -> Result<(), SubmapRejected> {
         let index = robot.index();
         let known = self.robots.get_mut(index).ok_or(SubmapRejected::UnknownRobot(robot))?;
-        let is_older =
-            |current: SubmapSource| current.0 == source.0 && source.1.wrapping_sub(current.1) > u32::MAX / 2;
         match known.submaps.source() {
             Some(current) if current == source => {}
-            Some(current) if is_older(current) => return Ok(false),
             None => known.submaps.set_source(source),
             Some(_) => self.restart_source(index, source),
         }
-        Ok(true)
+        Ok(())
     }
 
     /// Begins anew with a robot's submaps. A SLAM that was restarted, or that forgets nodes, continues in the same frame with new submaps:

@@ -110,14 +110,13 @@ fn for_each_cell_near(
         .collect();
     let mut last = None;
     for (a, b) in sides() {
-        let Some((from, to)) = clip(a, b, [width as f64, height as f64], 1.0) else { continue };
-        let length = (b[0] - a[0]).hypot(b[1] - a[1]);
-        let steps = ((to - from) * length / STEP_CELLS).ceil().max(1.0) as usize;
-        for i in 0..=steps {
-            let t = from + (to - from) * i as f64 / steps as f64;
+        let Some((from, to)) = clip(a, b, [width as f64, height as f64], reach + 1.0) else { continue };
+        // The same points of the side, whatever part of it is near.
+        let steps = ((b[0] - a[0]).hypot(b[1] - a[1]) / STEP_CELLS).ceil().max(1.0);
+        for i in (from * steps).floor() as i64..=(to * steps).ceil() as i64 {
+            let t = i as f64 / steps;
             let [x, y] = [0, 1].map(|axis| (a[axis] + t * (b[axis] - a[axis])).floor() as i64);
-            let is_inside = (0..width).contains(&x) && (0..height).contains(&y);
-            if is_inside && last.replace((x, y)) != Some((x, y)) {
+            if last.replace((x, y)) != Some((x, y)) {
                 around.iter().for_each(|(u, v)| mark_cell(x + u, y + v));
             }
         }

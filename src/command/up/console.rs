@@ -63,10 +63,15 @@ impl<'a> OperatorConsole<'a> {
             'r' => (Request::Release, "the robots may be driven again".into()),
             _ => return None,
         };
-        // The bridge first: a disk may be slow. One that does not answer now sets the stop when it goes on or is replaced.
-        let answer = control::ask(self.run, request, PATIENCE);
-        let is_latched = request == Request::Stop
-            && latch_stop(&DiskStorage, &stop_file(&self.run.dir), crate::clock::now()).is_ok();
+        // At once, as a disk may be slow. A bridge that does not answer now sets the stop when it goes on or is replaced.
+        let latch = || {
+            request == Request::Stop
+                && latch_stop(&DiskStorage, &stop_file(&self.run.dir), crate::clock::now()).is_ok()
+        };
+        let (answer, is_latched) = std::thread::scope(|scope| {
+            let latched = scope.spawn(latch);
+            (control::ask(self.run, request, PATIENCE), latched.join().unwrap_or(false))
+        });
         Some(match answer {
             Ok(state) => {
                 self.newest = Some(state);

@@ -28,19 +28,21 @@ impl<S: Storage> PermissionFiles<S> {
     /// Allows the addresses of the allow list to drive.
     pub fn allow(&self, bridge: &Bridge) {
         if let Some(path) = &self.allowed {
-            self.read(path).into_iter().flatten().for_each(|address| bridge.allow(address));
+            self.read(path).0.into_iter().for_each(|address| bridge.allow(address));
         }
     }
 
     /// Forbids the denied addresses to drive. If nobody knows who is denied, the emergency stop is set: a person decides then.
     pub fn deny(&self, bridge: &Bridge) {
-        if let Some(addresses) = self.read(&self.denied) {
-            addresses.into_iter().for_each(|address| bridge.deny(address));
-        } else {
+        let (addresses, is_whole) = self.read(&self.denied);
+        addresses.into_iter().for_each(|address| bridge.deny(address));
+        if !is_whole {
             tracing::warn!(
-                "who may not drive is not known: the emergency stop is set; deny anew who must not, then `mr-slam release`"
+                "{}: who else may not drive is not known: the emergency stop is set; deny anew who must not, which writes the file \
+                 anew, then `mr-slam release`",
+                self.denied.display()
             );
-            bridge.stop_robots();
+            bridge.restore_stop();
         }
     }
 
@@ -53,8 +55,8 @@ impl<S: Storage> PermissionFiles<S> {
         })
     }
 
-    /// Reads a list of addresses, and reports what cannot be read; `None`: the whole file.
-    fn read(&self, path: &Path) -> Option<Vec<IpAddr>> {
+    /// Reads a list of addresses, and reports what cannot be read. Returns whether all of it is text.
+    fn read(&self, path: &Path) -> (Vec<IpAddr>, bool) {
         match allowed::read(&self.storage, path) {
             Ok((addresses, unsound)) => {
                 unsound.iter().for_each(|line| {
@@ -63,11 +65,12 @@ impl<S: Storage> PermissionFiles<S> {
                         path.display()
                     )
                 });
-                Some(addresses)
+                let is_text = unsound.iter().all(|line| !line.contains(char::REPLACEMENT_CHARACTER));
+                (addresses, is_text)
             }
             Err(why) => {
                 tracing::warn!("{}: {why}; no address is taken from it", path.display());
-                None
+                (Vec::new(), false)
             }
         }
     }

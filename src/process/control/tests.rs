@@ -5,7 +5,7 @@ use crate::process::file_thread::JobWorker;
 use crate::storage::DiskStorage;
 use ::bridge::BridgeConfig;
 use formats::map_file::MapFileError;
-use msg::{Grid, GridView, NavigationAction, NavigationReport, NavigationStatus, RobotId};
+use msg::{Grid, GridView, NavigationAction, RobotId};
 use saved_state::{latch_stop, stop_file};
 use std::net::IpAddr;
 use std::path::Path;
@@ -206,6 +206,12 @@ fn a_file_of_denied_addresses_that_cannot_be_read_sets_the_emergency_stop() {
         restore_files(&bridge, &run, DiskStorage, Monotonic(0));
         let is_text = std::str::from_utf8(content).is_ok();
         assert_eq!(bridge.is_stopped(), !is_text, "{content:?}");
+        // A denial writes the file anew.
+        let files = PermissionFiles::new(&run, DiskStorage);
+        files.remember([10, 0, 0, 8].into(), false).unwrap();
+        let next = Bridge::new(run.config.bridge.clone(), 2, |_, _| {}).unwrap();
+        files.deny(&next);
+        assert!(!next.is_stopped() && next.denied_addresses().contains(&[10, 0, 0, 8].into()));
     }
 }
 
@@ -227,8 +233,7 @@ fn who_is_denied_after_a_restart_of_the_bridge_loses_the_goals_of_before() {
     let paused = Rc::new(RefCell::new(Vec::new()));
     let sink = paused.clone();
     bridge.on_navigation(move |robot, command| sink.borrow_mut().push((robot, command.action())));
-    let driving = NavigationReport { status: NavigationStatus::Driving as u32, ..Default::default() };
-    bridge.publish(::bridge::FleetMessage::NavigationState(robot, &driving));
+    // Nothing of navigation has been heard yet.
     bridge.deny([10, 0, 0, 8].into());
     assert!(paused.borrow().is_empty(), "another one's denial");
     bridge.deny(address);

@@ -69,12 +69,18 @@ fn serve(run: &Run, period: Duration, requests: &Receiver<bool>, state: &Mutex<L
             Err(RecvTimeoutError::Timeout) => Request::State,
             Err(RecvTimeoutError::Disconnected) => return,
         };
-        let is_stop = request == Request::Stop;
-        let asked = control::ask(run, request, PATIENCE);
-        // The bridge first, as a disk may be slow. On the disk the stop outlives a bridge that does not answer.
-        if is_stop && let Err(why) = latch_stop(&DiskStorage, &stop_file(&run.dir), crate::clock::now()) {
-            tracing::warn!("the emergency stop of the base is not on the disk: {why}");
-        }
+        // At once, as a disk may be slow. On the disk the stop outlives a bridge that does not answer.
+        let latch = || {
+            if let Err(why) = latch_stop(&DiskStorage, &stop_file(&run.dir), crate::clock::now()) {
+                tracing::warn!("the emergency stop of the base is not on the disk: {why}");
+            }
+        };
+        let asked = std::thread::scope(|scope| {
+            if request == Request::Stop {
+                scope.spawn(latch);
+            }
+            control::ask(run, request, PATIENCE)
+        });
         let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
         *state = match asked {
             Ok(bridge) => LocalControl {

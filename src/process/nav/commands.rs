@@ -81,8 +81,9 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
                 let reason = PauseReason::from_code(command.pause_reason).unwrap_or_default();
                 let is_driven = self.pause_if_driven(robot, reason);
                 // The stop has to be released before all else; else the reason of one that is paused already stays.
-                if !is_driven && reason == PauseReason::EmergencyStop {
-                    self.robots[index].pause_reason = reason;
+                let before = &mut self.robots[index].pause_reason;
+                if !is_driven && reason == PauseReason::EmergencyStop && *before == PauseReason::Person {
+                    *before = reason;
                 }
             }
             Some(NavigationAction::Resume) => {

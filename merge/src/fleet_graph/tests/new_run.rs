@@ -79,6 +79,13 @@ fn a_submap_of_an_older_generation_that_comes_late_changes_nothing() {
     submap.generation = 1;
     fleet.add_submap(robot(2), &submap).unwrap();
     assert_eq!(fleet.missing_submaps(robot(2)), 1);
+    // A SLAM that is started again on another machine counts from 0, and nothing else tells.
+    poses.generation = 0;
+    fleet.update_poses(robot(2), &poses).unwrap();
+    submap.generation = 0;
+    assert_eq!(fleet.missing_submaps(robot(2)), 2);
+    fleet.add_submap(robot(2), &submap).unwrap();
+    assert_eq!(fleet.missing_submaps(robot(2)), 1);
 }
 
 /// The operator holds two maps together that contradict each other.
