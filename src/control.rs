@@ -16,6 +16,8 @@ use std::time::{Duration, Instant};
 
 /// Longest line that either side reads, bytes: the state of 1024 clients.
 pub const LINE_MAX: u64 = 1 << 20;
+/// Longest time that the bridge may take to say whether the emergency stop is set.
+const STOP_PATIENCE: Duration = Duration::from_secs(1);
 /// Pause between two attempts to reach a bridge that is being started, a small part of its start.
 pub const RETRY_PERIOD: Duration = Duration::from_millis(20);
 
@@ -84,6 +86,12 @@ pub enum AskError {
 /// Sends a request to a run's bridge and returns its answer; waits at most `patience` at each step.
 pub fn ask(run: &Run, request: Request, patience: Duration) -> Result<BridgeState, AskError> {
     ask_socket(&socket(run), request, patience)
+}
+
+/// Returns whether a run's emergency stop is set, as far as its bridge says so: one that does not answer in time pauses later what was
+/// sent, if it has to.
+pub fn is_stop_set(run: &Run) -> bool {
+    ask(run, Request::State, STOP_PATIENCE).is_ok_and(|bridge| bridge.stopped)
 }
 
 /// Sends a request as [`ask`] does, and again for `patience` while no bridge listens: one that was killed is back by then.

@@ -4,8 +4,9 @@
 //! like one that died.
 
 use crate::clock::{RESTARTS_VARIABLE, now};
+use crate::emergency_stop_file::latch_stop;
 use crate::fleet;
-use crate::process::control::saved_state::{latch_stop, stop_file};
+use crate::process::control::saved_state::stop_file;
 use crate::processes::ProcessRow;
 use crate::progress::{self, ProgressBoard, WatchedThread};
 use crate::restarts::{DEATHS_MAX, RestartPolicy, State};

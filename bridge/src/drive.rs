@@ -198,11 +198,6 @@ impl DriveArbiter {
         DriveDecision::Pass
     }
 
-    /// Returns whether the navigator drives a robot to a goal.
-    pub fn is_navigated(&self, robot: RobotId) -> bool {
-        self.robots[robot.index()].is_navigated
-    }
-
     /// Returns whether a robot takes part in the exploration.
     pub fn is_exploring(&self, robot: RobotId) -> bool {
         self.robots[robot.index()].is_exploring

@@ -31,8 +31,6 @@ const SPIN_RAD: f64 = TAU * 0.97;
 const TURN_AWAY_MAX_S: f64 = 2.0;
 /// Free distance ahead at which turning away ends, metres.
 const TURN_AWAY_UNTIL_M: f64 = 1.0;
-/// Directions in which a robot without a pose has to see before it drives, to each side of straight ahead, radians.
-const WANDER_AHEAD_RAD: f64 = 0.5;
 /// Attempts that a goal costs at which the robot got stuck: after it the goal is left alone.
 const STUCK_ATTEMPTS: u32 = 2;
 /// Multiplier that gives robots with the same seed different random numbers (any large odd number serves).
@@ -221,9 +219,6 @@ impl Explorer {
     fn wander(&mut self, scan: &ScanView) -> Twist {
         self.idle_since = None;
         self.execution.drop_goal();
-        if !scan.sees_ahead(WANDER_AHEAD_RAD) {
-            return Twist { linear_m_s: 0.0, angular_rad_s: self.config.follower.turn_rad_s };
-        }
         self.wander.drive(scan, &self.collision, &self.config.follower, &mut self.random)
     }
 

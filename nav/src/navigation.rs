@@ -264,9 +264,7 @@ impl FleetNavigator {
         // Robots that cannot drive stand in everybody's way; so they come first.
         for navigator in self.robots.iter().filter(|navigator| navigator.state().is_active()) {
             let robot = find(input, navigator.robot);
-            // One whose poses or scans have ended gets no new routes, and does not follow those that it has.
-            let can_drive =
-                robot.is_some_and(|it| it.poses().is_some() && it.fresh_scan(input.stamp).is_some());
+            let can_drive = robot.is_some_and(|robot| robot.can_drive(input.stamp));
             let stands = !can_drive || !navigator.has_routes() || navigator.is_recovering();
             let at_m = robot.and_then(NavigatedRobot::position_m);
             if let Some(at_m) = at_m.filter(|_| stands) {
@@ -277,9 +275,8 @@ impl FleetNavigator {
         for i in order {
             let navigator = &mut self.robots[i];
             let Some(robot) = find(input, navigator.robot) else { continue };
-            let can_drive = robot.fresh_scan(input.stamp).is_some();
             let has_way = navigator.has_routes() && !navigator.is_recovering();
-            let drives = navigator.state().is_active() && has_way && can_drive;
+            let drives = navigator.state().is_active() && has_way && robot.can_drive(input.stamp);
             let Some(poses) = robot.poses().filter(|_| drives) else { continue };
             let in_merged_map = robot.observation.in_merged_map;
             let reserved: &[Reservation] = if in_merged_map { &reservations } else { &[] };

@@ -11,6 +11,9 @@ const TURN_BELOW_M: f64 = 0.3;
 /// Free distance above which it drives on, metres: more than above, or it would turn again at once.
 const DRIVE_ABOVE_M: f64 = 0.8;
 
+/// Angle to each side in which the LiDAR has to see for the robot to drive, radians: the body at 0.2 m.
+const AHEAD_RAD: f64 = 0.5;
+
 /// Drives straight on while there is space, else turns to one side until there is.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Wander {
@@ -27,6 +30,10 @@ impl Wander {
         config: &FollowerConfig,
         random: &mut RandomNumbers,
     ) -> Twist {
+        // Nothing but the scan tells what is ahead.
+        if !scan.sees_ahead(AHEAD_RAD) {
+            return Twist { linear_m_s: 0.0, angular_rad_s: config.turn_rad_s };
+        }
         let needed_m = if self.turn_side.is_some() { DRIVE_ABOVE_M } else { TURN_BELOW_M };
         if limit.free_distance_m(scan) > needed_m {
             self.turn_side = None;

@@ -1,5 +1,6 @@
 //! What an exploration came to.
 
+use crate::view::finite;
 use msg::{ExplorationReport, RobotId};
 use serde::Serialize;
 
@@ -40,7 +41,6 @@ pub fn known_area(known_m2: Option<f64>) -> String {
 impl ExplorationSummary {
     /// Describes an exploration.
     pub fn new(report: &ExplorationReport, robots: usize) -> Self {
-        let finite = |value: f64| value.is_finite().then_some(value);
         let left = report.leftovers().iter().map(|left| LeftoverSummary {
             map: RobotId::new(left.map_robot as usize).map_or("map".into(), |robot| robot.to_string()),
             x_m: left.position_m[0],

@@ -1,5 +1,7 @@
 //! What navigation does with each robot, and how far the exploration is, as `mr-slam status` shows it.
 
+use crate::exploration::known_area;
+use crate::view::finite;
 use msg::{ExplorationReport, ExplorationStatus, NavigationReport, NavigationStatus, RobotId};
 use serde::Serialize;
 
@@ -86,9 +88,7 @@ impl NavigationView {
             if let Some(elapsed_s) = exploration.elapsed_s {
                 text += &format!(" after {elapsed_s:.0} s");
             }
-            if let Some(known_m2) = exploration.known_m2 {
-                text += &format!(", {known_m2:.1} m2 known");
-            }
+            text += &known_area(exploration.known_m2);
             if exploration.left_count > 0 {
                 text += &format!(", {} places left", exploration.left_count);
             }
@@ -100,10 +100,6 @@ impl NavigationView {
 
 fn reason(reason: &str) -> String {
     if reason.is_empty() { "\n".into() } else { format!(": {reason}\n") }
-}
-
-fn finite(value: f64) -> Option<f64> {
-    value.is_finite().then_some(value)
 }
 
 #[cfg(test)]

@@ -364,6 +364,7 @@ impl ProcessView {
     }
 }
 
-fn finite(value: f64) -> Option<f64> {
+/// Returns a value that is known.
+pub(crate) fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }

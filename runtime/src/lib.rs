@@ -17,6 +17,7 @@ pub mod progress;
 pub mod restarts;
 pub mod watchdog;
 // Files, signals and settings of a process.
+pub mod emergency_stop_file;
 mod held_signals;
 pub mod keys;
 pub mod realtime;

@@ -7,7 +7,7 @@ use super::run_args::RunArgs;
 use super::up::FleetHooks;
 use super::waiting::{WaitError, Waiting};
 use crate::channel::{self, Opener, Program};
-use crate::control::{self, Request};
+use crate::control;
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, Reader, Writer, wait};
@@ -20,8 +20,6 @@ use reports::{ExplorationSummary, known_area};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Longest time that the bridge may take to say whether the emergency stop is set.
-const BRIDGE_PATIENCE: Duration = Duration::from_secs(1);
 /// Longest time without an answer to the stop after Ctrl-C.
 const STOP_PATIENCE: Duration = Duration::from_secs(1);
 /// Period at which the state is looked at, nanoseconds.
@@ -96,8 +94,7 @@ pub fn run(args: &ExploreArgs, stop: &Stop) -> Result<(), ExploreError> {
     let is_change = args.action != ExploreAction::Status;
     let run = if is_change { args.run.open_to_change()? } else { args.run.open()? };
     let is_start = args.action == ExploreAction::Start;
-    // A bridge that does not answer pauses the robots later, if it has to.
-    if is_start && control::ask(&run, Request::State, BRIDGE_PATIENCE).is_ok_and(|bridge| bridge.stopped) {
+    if is_start && control::is_stop_set(&run) {
         return Err(ExploreError::EmergencyStop { run: run.dir });
     }
     let report = exchange(&run, args, stop)?;

@@ -7,7 +7,7 @@ use super::robot_choice::{RobotChoice, RobotChoiceError};
 use super::run_args::RunArgs;
 use super::waiting::{WaitError, Waiting};
 use crate::channel::{self, Opener, Program};
-use crate::control::{self, Request};
+use crate::control;
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, Reader, Writer, let_readers_look, wait};
@@ -23,8 +23,6 @@ use std::time::{Duration, Instant};
 
 /// Longest time without an answer to a cancellation after Ctrl-C.
 const CANCEL_PATIENCE: Duration = Duration::from_secs(1);
-/// How long the bridge may take to say whether the emergency stop is set.
-const BRIDGE_PATIENCE: Duration = Duration::from_secs(1);
 /// Period at which the state is looked at, nanoseconds.
 const POLL_NS: u64 = 50_000_000;
 
@@ -129,9 +127,7 @@ struct Answer {
 pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
     let run = args.run.open_to_change()?;
     let robot = args.robot.find(&run)?;
-    // A bridge that does not answer pauses the goal later, if it has to.
-    let bridge = control::ask(&run, Request::State, BRIDGE_PATIENCE);
-    if !args.cancel && bridge.is_ok_and(|bridge| bridge.stopped) {
+    if !args.cancel && control::is_stop_set(&run) {
         return Err(GotoError::EmergencyStop { run: run.dir });
     }
     let begun = Instant::now();

@@ -36,12 +36,13 @@ struct Scene {
 }
 
 impl Scene {
-    fn new(faults: FaultPlan) -> Self {
+    fn new(faults: FaultPlan, explores: bool) -> Self {
         let mut config = FleetConfig::default();
-        (config.fleet.robots, config.fleet.seed) = (1, 1);
+        (config.fleet.robots, config.fleet.seed, config.fleet.explore) = (1, 1, explores);
         let fleet = Lockstep::with_navigation(&config, faults).unwrap();
         let mut client = fleet.client(([127, 0, 0, 1], 7).into());
         client.advertise::<ros::PoseStamped>("/robot1/goal_pose");
+        client.advertise::<ros::Empty>("/robot1/cancel_navigation");
         client.advertise::<ros::Bool>("/explore/resume");
         client.advertise::<ros::Bool>("/emergency_stop");
         client.advertise::<ros::Empty>("/emergency_stop_release");
@@ -121,7 +122,7 @@ fn what_a_person_interrupts_does_not_go_on_by_itself() {
                     let plan = fault.map_or(FaultPlan::none(), |fault| {
                         FaultPlan::none().with(Monotonic((FAULT_S * 1e9) as u64), fault)
                     });
-                    let mut scene = Scene::new(plan);
+                    let mut scene = Scene::new(plan, false);
                     scene.run_until(given_s);
                     scene.give(task);
                     scene.run_until(given_s + after_s);
@@ -140,7 +141,8 @@ fn what_a_person_interrupts_does_not_go_on_by_itself() {
 fn what_nobody_interrupts_goes_on_after_a_fault() {
     for fault in faults().into_iter().flatten() {
         for task in [Task::Goal, Task::Exploration] {
-            let mut scene = Scene::new(FaultPlan::none().with(Monotonic((FAULT_S * 1e9) as u64), fault));
+            let mut scene =
+                Scene::new(FaultPlan::none().with(Monotonic((FAULT_S * 1e9) as u64), fault), false);
             scene.run_until(4.02);
             scene.give(task);
             assert!(scene.is_driven_until(9.0), "{task:?}, {fault:?}");
@@ -153,18 +155,9 @@ fn what_nobody_interrupts_goes_on_after_a_fault() {
 fn commands_of_before_are_not_carried_out_again_where_the_state_could_not_be_written() {
     let at = |seconds: f64| Monotonic((seconds * 1e9) as u64);
     for explores in [false, true] {
-        let mut config = FleetConfig::default();
-        (config.fleet.robots, config.fleet.seed, config.fleet.explore) = (1, 1, explores);
         let faults =
             FaultPlan::none().with_full_disk(at(2.2), at(30.0)).with(at(6.0), Fault::Kill(NAVIGATION));
-        let mut scene = Scene::new(FaultPlan::none());
-        scene.fleet = Lockstep::with_navigation(&config, faults).unwrap();
-        scene.client = scene.fleet.client(([127, 0, 0, 1], 7).into());
-        scene.client.advertise::<ros::PoseStamped>("/robot1/goal_pose");
-        scene.client.advertise::<ros::Empty>("/robot1/cancel_navigation");
-        scene.client.advertise::<ros::Bool>("/explore/resume");
-        scene.run_until(2.0);
-        scene.client.connect();
+        let mut scene = Scene::new(faults, explores);
         scene.run_until(2.5);
         if explores {
             scene.client.publish("/explore/resume", &ros::Bool(false));

@@ -46,7 +46,7 @@ impl Bridge {
         self.update(|core| select_present(core, robot));
     }
 
-    /// Returns the addresses of those who gave robots their newest goals, and of who started or stopped the exploration last, where clients
+    /// Returns the addresses of those who gave robots their newest goals, and of who started the exploration that may go on, where clients
     /// did.
     pub fn navigation_senders(&self) -> (Vec<(RobotId, IpAddr)>, Option<IpAddr>) {
         let core = self.core.borrow();

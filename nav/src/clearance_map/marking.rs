@@ -91,7 +91,10 @@ fn for_each_cell_near(
     };
     let sides = || corners.iter().zip(corners.iter().cycle().skip(1)).map(|(a, b)| (*a, *b));
     let mut crossings = Vec::with_capacity(corners.len());
-    for y in 0..height {
+    let rows = || corners.iter().map(|corner| corner[1]);
+    let first = rows().fold(f64::INFINITY, f64::min).floor().clamp(0.0, height as f64) as i64;
+    let last = rows().fold(f64::NEG_INFINITY, f64::max).ceil().clamp(0.0, height as f64) as i64;
+    for y in first..last {
         let centre = y as f64 + 0.5;
         let crosses = sides().filter(|(a, b)| (a[1] > centre) != (b[1] > centre));
         crossings.clear();

@@ -75,6 +75,11 @@ impl<'a> NavigatedRobot<'a> {
         Some([pose.x_m, pose.y_m])
     }
 
+    /// Whether its poses and its scan are fresh: else it gets no new routes, and does not follow those that it has.
+    pub(super) fn can_drive(&self, now: Stamp) -> bool {
+        self.poses().is_some() && self.fresh_scan(now).is_some()
+    }
+
     /// The newest scan, if it is fresh enough to drive by.
     pub(super) fn fresh_scan(&self, now: Stamp) -> Option<ScanView<'a>> {
         self.observation.scan.filter(|scan| now - scan.received <= SCAN_AGE_MAX_S)

@@ -4,14 +4,14 @@ use super::{PermissionError, StopArgs};
 use crate::command::output;
 use crate::config::RobotSource;
 use crate::control::{self, AskError, Request};
-use crate::process::control::saved_state::{latch_stop, stop_file};
+use crate::emergency_stop_file::latch_while;
+use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport};
 use crate::run::{LostFleet, Run, RunError, RunningFleets};
 use crate::storage::{DiskStorage, Storage};
 use msg::{Monotonic, PauseReason};
 use reports::BridgeState;
 use serde::Serialize;
-use std::io;
 use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::thread::ScopedJoinHandle;
@@ -164,17 +164,7 @@ fn stop_lost(fleet: LostFleet) -> StoppedFleet {
     }
 }
 
-/// Latches the stop in a run's folder, whether or not its fleet can be reached.
-fn latch(dir: &Path) -> io::Result<()> {
-    let path = stop_file(dir);
-    if dir.join("run.json").exists() {
-        latch_stop(&DiskStorage, &path, crate::clock::now())
-            .map_err(|why| io::Error::new(why.kind(), format!("{}: {why}", path.display())))
-    } else {
-        Err(io::Error::other(RunError::NoneRunning))
-    }
-}
-
+/// Stops the fleet of a folder in its bridge and on the disk.
 fn confirm(dir: PathBuf) -> StoppedFleet {
     let begun = crate::clock::now();
     let ask = || match Run::open_running(&dir) {
@@ -185,13 +175,16 @@ fn confirm(dir: PathBuf) -> StoppedFleet {
         Err(why) => Err(why.to_string()),
     };
     // A bridge that does not answer now sets the stop when it goes on or is replaced.
-    let (asked, written) = std::thread::scope(|scope| {
-        let latched = scope.spawn(|| latch(&dir));
-        (ask(), latched.join().unwrap_or_else(|why| resume_unwind(why)))
-    });
+    let path = stop_file(&dir);
+    let (asked, written) = if dir.join("run.json").exists() {
+        let (asked, written) = latch_while(&path, ask);
+        (asked, written.map_err(|why| format!("{}: {why}", path.display())))
+    } else {
+        (ask(), Err(RunError::NoneRunning.to_string()))
+    };
     let (confirmed, latched) = (asked.is_ok(), written.is_ok());
     let [unconfirmed, unheard] = asked.as_ref().ok().cloned().unwrap_or_default();
-    let why = written.err().map(|why| why.to_string()).or(asked.err());
+    let why = written.err().or(asked.err());
     StoppedFleet { run: dir, confirmed, latched, why, unconfirmed, unheard, lost: None }
 }
 

@@ -1,10 +1,10 @@
 //! Console of the person at the laptop: single keys that allow, deny, stop and release.
 
 use crate::control::{self, Request};
+use crate::emergency_stop_file::latch_while;
 use crate::keys::Keys;
-use crate::process::control::saved_state::{latch_stop, stop_file};
+use crate::process::control::saved_state::stop_file;
 use crate::run::Run;
-use crate::storage::DiskStorage;
 use reports::{BridgeState, FleetView};
 use std::time::Duration;
 
@@ -63,15 +63,14 @@ impl<'a> OperatorConsole<'a> {
             'r' => (Request::Release, "the robots may be driven again".into()),
             _ => return None,
         };
-        // At once, as a disk may be slow. A bridge that does not answer now sets the stop when it goes on or is replaced.
-        let latch = || {
-            request == Request::Stop
-                && latch_stop(&DiskStorage, &stop_file(&self.run.dir), crate::clock::now()).is_ok()
+        let ask = || control::ask(self.run, request, PATIENCE);
+        let (answer, is_latched) = match request {
+            Request::Stop => {
+                let (answer, latched) = latch_while(&stop_file(&self.run.dir), ask);
+                (answer, latched.is_ok())
+            }
+            _ => (ask(), false),
         };
-        let (answer, is_latched) = std::thread::scope(|scope| {
-            let latched = scope.spawn(latch);
-            (control::ask(self.run, request, PATIENCE), latched.join().unwrap_or(false))
-        });
         Some(match answer {
             Ok(state) => {
                 self.newest = Some(state);

@@ -70,7 +70,7 @@ struct SavedState {
     allowed: Vec<IpAddr>,
     /// Who gave which robot its newest goal.
     goals: Vec<(usize, IpAddr)>,
-    /// Who started or stopped the exploration last.
+    /// Who started the exploration that may go on.
     explores: Option<IpAddr>,
 }
 
@@ -227,17 +227,11 @@ impl<S: Storage> SavedFiles<S> {
     }
 }
 
-/// Sets a run's emergency stop on the disk: the bridge sets it when it reads the file, or when it starts.
-pub fn latch_stop(storage: &impl Storage, path: &Path, now: Monotonic) -> io::Result<()> {
-    let pid = std::process::id();
-    let text = format!("The emergency stop is set, by `mr-slam stop` of process {pid} at {} ns.\n", now.0);
-    storage.write(path, text.as_bytes())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::FleetConfig;
+    use crate::emergency_stop_file::latch_stop;
     use crate::storage::DiskStorage;
     use ::bridge::command::{Registration, name};
     use ::bridge::frame::{Parser, Side};

@@ -1,12 +1,13 @@
 use super::files::FileThread;
 use super::*;
 use crate::config::FleetConfig;
+use crate::emergency_stop_file::latch_stop;
 use crate::process::file_thread::JobWorker;
 use crate::storage::DiskStorage;
 use ::bridge::BridgeConfig;
 use formats::map_file::MapFileError;
 use msg::{Grid, GridView, NavigationAction, RobotId};
-use saved_state::{latch_stop, stop_file};
+use saved_state::stop_file;
 use std::net::IpAddr;
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex};

@@ -1,9 +1,9 @@
 //! This machine's emergency stop, as the link reads and sets it. `link::StopFollower` decides when a robot's is set.
 
 use crate::control::{self, Request};
-use crate::process::control::saved_state::{latch_stop, stop_file};
+use crate::emergency_stop_file::latch_while;
+use crate::process::control::saved_state::stop_file;
 use crate::run::Run;
-use crate::storage::DiskStorage;
 use ::link::LocalControl;
 use std::io;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -69,18 +69,14 @@ fn serve(run: &Run, period: Duration, requests: &Receiver<bool>, state: &Mutex<L
             Err(RecvTimeoutError::Timeout) => Request::State,
             Err(RecvTimeoutError::Disconnected) => return,
         };
-        // At once, as a disk may be slow. On the disk the stop outlives a bridge that does not answer.
-        let latch = || {
-            if let Err(why) = latch_stop(&DiskStorage, &stop_file(&run.dir), crate::clock::now()) {
-                tracing::warn!("the emergency stop of the base is not on the disk: {why}");
-            }
+        let ask = || control::ask(run, request, PATIENCE);
+        let (asked, latched) = match request {
+            Request::Stop => latch_while(&stop_file(&run.dir), ask),
+            _ => (ask(), Ok(())),
         };
-        let asked = std::thread::scope(|scope| {
-            if request == Request::Stop {
-                scope.spawn(latch);
-            }
-            control::ask(run, request, PATIENCE)
-        });
+        if let Err(why) = latched {
+            tracing::warn!("the emergency stop of the base is not on the disk: {why}");
+        }
         let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
         *state = match asked {
             Ok(bridge) => LocalControl {

@@ -17,9 +17,6 @@ const SEARCH_MAX_S: f64 = 120.0;
 /// their saved maps 22 were found within 125 s, and 15 without turning again.
 const DRIVE_S: f64 = 15.0;
 
-/// Angle to each side in which the LiDAR has to see for the robot to drive on, radians: the body at 0.2 m.
-const AHEAD_RAD: f64 = 0.5;
-
 /// A search that goes on.
 #[derive(Clone, Debug)]
 pub(super) struct PlaceSearch {
@@ -61,8 +58,7 @@ impl RobotNavigator {
         let search = self.place_search.as_mut()?;
         let (turn_s, searched_s) = (TAU / config.turn_rad_s, now - since);
         let turns_again = !scan.sees_all_around() && searched_s % (turn_s + DRIVE_S) < turn_s;
-        // Nothing but the scan tells what is ahead.
-        let wanted = if searched_s < turn_s || turns_again || !scan.sees_ahead(AHEAD_RAD) {
+        let wanted = if searched_s < turn_s || turns_again {
             Twist { linear_m_s: 0.0, angular_rad_s: config.turn_rad_s }
         } else {
             search.wander.drive(&scan, &collision, &config, &mut search.random)
