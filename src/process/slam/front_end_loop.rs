@@ -265,8 +265,9 @@ impl FrontEndRunner {
         }
         // In a pause the pose follows odometry from the one scan that is looked at.
         let has_odometry = result.pose_estimate.map_from_odom().is_some();
-        let tells_place =
-            result.rejected.is_none() && (has_odometry || self.waited >= SCANS_WITHOUT_ODOMETRY_MAX);
+        let tells_place = result.rejected.is_none()
+            && result.pose_estimate.state() != TrackingState::Lost
+            && (has_odometry || self.waited >= SCANS_WITHOUT_ODOMETRY_MAX);
         self.waited += u32::from(self.paused && !tells_place);
         if !self.paused || tells_place {
             self.last = Some(result.pose_estimate);
@@ -290,11 +291,15 @@ impl FrontEndRunner {
         }
     }
 
-    /// Returns the pose by odometry alone, and how well that is known.
+    /// Returns the pose by odometry alone, and how well that is known. A robot that was lost stays lost in a pause.
     fn paused_estimate(&mut self, last: PoseEstimate, scan: &Scan) -> PoseEstimate {
         let estimate = self.dead_reckoned(last, scan);
         let covariance = self.front.covariance_by_odometry(scan.header.stamp, estimate.map_from_base);
-        PoseEstimate { covariance, state: TrackingState::Paused as u32, ..estimate }
+        let state = match last.state() {
+            TrackingState::Lost => TrackingState::Lost,
+            _ => TrackingState::Paused,
+        };
+        PoseEstimate { covariance, state: state as u32, ..estimate }
     }
 
     /// Returns the pose by odometry alone, while scans are ignored; without odometry, the last pose.
