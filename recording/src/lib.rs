@@ -29,6 +29,7 @@ pub mod fleet;
 pub mod playback;
 mod pose_at;
 mod reader;
+pub mod rosbag2;
 mod scan_gaps;
 mod writer;
 

@@ -1,5 +1,6 @@
 //! Makes the bytes of a recording: an MCAP file with ROS 2 messages in CDR.
 
+use crate::rosbag2::{self, interface_name, offered_qos_profiles};
 use crate::{COUNTS, METADATA};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
@@ -12,8 +13,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Size of a chunk before compression, bytes. A chunk also ends at each [`RecordingWriter::flush`].
 const CHUNK_BYTES: u64 = 1 << 20;
-/// Durability of a latched topic in rosbag2's metadata of a channel: reliable, transient local, the last message.
-const LATCHED_QOS: &str = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n  deadline:\n    sec: 9223372036\n    nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false";
 
 /// Reason why a message is not in a recording.
 #[derive(Debug, thiserror::Error)]
@@ -90,7 +89,7 @@ pub struct RecordingWriter {
 }
 
 impl RecordingWriter {
-    /// Begins a file. `description` goes into the metadata record [`METADATA`].
+    /// Begins a file. `description` goes into the metadata record [`METADATA`]; rosbag2's own says how it reads the topics' policies.
     ///
     /// # Errors
     /// The container refuses the description.
@@ -107,6 +106,9 @@ impl RecordingWriter {
             .disable_seeking(true);
         let mut container = mcap::Writer::with_options(NoSeek::new(buffer.clone()), options)?;
         container.write_metadata(&Metadata { name: METADATA.into(), metadata: description.clone() })?;
+        let of_rosbag2 =
+            BTreeMap::from([(rosbag2::SERIALIZED_METADATA.into(), rosbag2::description(&[], &[]))]);
+        container.write_metadata(&Metadata { name: rosbag2::METADATA.into(), metadata: of_rosbag2 })?;
         Ok(Self { container, buffer, topics: Vec::new() })
     }
 
@@ -123,10 +125,9 @@ impl RecordingWriter {
         let unknown =
             || WriteError::UnknownType { topic: topic.to_owned(), message_type: message_type.to_owned() };
         let definition = schema(message_type).ok_or_else(unknown)?;
-        let (package, class) = message_type.split_once('/').ok_or_else(unknown)?;
         let id =
-            self.container.add_schema(&format!("{package}/msg/{class}"), "ros2msg", definition.as_bytes())?;
-        let qos = if durability == Durability::Latched { LATCHED_QOS } else { "" };
+            self.container.add_schema(&interface_name(message_type), "ros2msg", definition.as_bytes())?;
+        let qos = offered_qos_profiles(durability);
         let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), qos.to_owned())]);
         let channel = self.container.add_channel(id, topic, "cdr", &metadata)?;
         let count = TopicCount { topic: topic.to_owned(), ..TopicCount::default() };

@@ -8,6 +8,7 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader as BagReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from ruamel.yaml import YAML
 
 PROGRAM, OUT = sys.argv[1], pathlib.Path(sys.argv[2]).absolute()
 FOLDER = OUT / "recordings"
@@ -52,6 +53,11 @@ class TcpClient(threading.Thread):
                 self.payloads[topic].append(payload)
         except (ConnectionError, OSError):
             pass
+
+
+def yaml_of(text):
+    """Returns what a text in YAML says."""
+    return YAML(typ="safe").load(text) or {}
 
 
 def stamp_s(clock):
@@ -158,6 +164,8 @@ def main():
     check("its index counts them too", summary.statistics.message_count == sum(counts.values()))
     check("configuration, room, seed, version and machine are in it",
           {"configuration", "room", "seed", "version", "machine"} <= set(metadata.get("mr_slam", {})))
+    described = yaml_of(metadata.get("rosbag2", {}).get("serialized_metadata", "")).get("rosbag2_bagfile_information", {})
+    check("rosbag2 reads the policies of its topics as numbers", described.get("version") == 5, str(described))
     counts = decode_with_rosbags(path)
     differing = {t: (n, counts[t]) for t, (n, _) in read.items() if counts[t] != n}
     check("rosbags decodes every message", not differing, str(differing or ""))
