@@ -13,6 +13,7 @@ mod sources;
 mod times;
 
 pub use error::BagError;
+pub use recorded_time::RecordedTimes;
 
 use crate::pose_at::pose_at;
 use crate::{ReadError, RecordingReader};
@@ -21,19 +22,13 @@ use found::{Edges, Found, Poses, RawScan};
 use frames::{mirrored, mount, odometry_transform};
 use msg::{Pose2, Scan, Stamp};
 use namespace::{namespace, of_same_robot};
-use recorded_time::RecordedTime;
 use ros_messages::{LaserScan, Message as _};
 use sources::{changes_of_poses, changes_of_scans};
-use std::collections::HashMap;
 use std::io::Read;
-use std::rc::Rc;
 use times::{in_order, with_scans};
 
 /// Name of a robot's topic with its true poses in the frame `world`.
 pub const GROUND_TRUTH: &str = "ground_truth";
-
-/// Topics whose times are followed: a bag has fewer.
-const TOPICS_MAX: usize = 4096;
 
 /// Which topics and frames of a bag are used; what is not named is found.
 #[derive(Clone, Debug, Default)]
@@ -109,20 +104,28 @@ pub struct LeftOut {
     pub other_frames: u64,
     /// Scans with single wrong stamps.
     pub stray_stamps: u64,
+    /// Messages and transforms that are more than is kept of a bag.
+    pub over_limit: u64,
     /// Times when the stamps went back by more than a second. The stamps after each go on after those before it.
     pub clock_steps: u64,
 }
 
 /// Reader of the files of one bag.
-#[derive(Default)]
 pub struct BagReader {
+    options: BagOptions,
     found: Found,
     damage: Option<String>,
 }
 
 impl BagReader {
-    /// Reads a file of the bag, whatever their order. `name` is the file's, for what is said of its damage. Returns when its first and its last scan were recorded; `None` without
-    /// a scan.
+    /// Begins without files.
+    pub fn new(options: BagOptions) -> Self {
+        Self { found: Found::new(options.odom_frame.clone()), options, damage: None }
+    }
+
+    /// Reads a file of the bag. `name` is the file's, for what is said of its damage. Files that a recorder wrote one after another
+    /// share their `times`, in which they go on where its clock was set back between them; others have times of their own, and any
+    /// order. Returns when its first and its last scan were recorded; `None` without a scan.
     ///
     /// # Errors
     /// The file cannot be read, or is no MCAP.
@@ -130,15 +133,12 @@ impl BagReader {
         &mut self,
         name: &str,
         reader: &mut RecordingReader<R>,
+        times: &mut RecordedTimes,
         scan: &mut Scan,
     ) -> Result<Option<(Stamp, Stamp)>, ReadError> {
         let mut ends: Option<(Stamp, Stamp)> = None;
-        // For each topic: some programs write one after the other.
-        let mut times: HashMap<Rc<str>, RecordedTime> = HashMap::new();
         while let Some(mut message) = reader.next_message()? {
-            if times.len() < TOPICS_MAX || times.contains_key(&message.topic) {
-                message.at = times.entry(message.topic.clone()).or_default().next(message.at);
-            }
+            message.at = times.next(&message.topic, message.at);
             // Not of other messages: each part of a bag may repeat fixed transforms.
             if &*message.message_type == LaserScan::TYPE {
                 let (first, last) = ends.unwrap_or((message.at, message.at));
@@ -156,15 +156,18 @@ impl BagReader {
     ///
     /// # Errors
     /// The bag has not what is needed: each error says what there is instead.
-    pub fn finish(self, options: &BagOptions) -> Result<Bag, BagError> {
+    pub fn finish(self) -> Result<Bag, BagError> {
         let (count, first_fault) = (self.found.malformed, self.found.first_fault.clone());
-        let damage = self.damage;
-        let mut error = match self.found.bag(options) {
+        let (damage, over_limit) = (self.damage, self.found.over_limit);
+        let mut error = match self.found.bag(&self.options) {
             Ok(bag) => return Ok(Bag { damage, first_fault, ..bag }),
             Err(error) => error,
         };
         if let Some(first_fault) = first_fault {
             error = BagError::Malformed { error: Box::new(error), count, first_fault };
+        }
+        if over_limit > 0 {
+            error = BagError::OverLimit { error: Box::new(error), count: over_limit };
         }
         Err(match damage {
             Some(why) => BagError::Damaged { error: Box::new(error), why },
@@ -182,9 +185,9 @@ pub fn read_bag<R: Read>(
     options: &BagOptions,
     scan: &mut Scan,
 ) -> Result<Bag, BagError> {
-    let mut bag = BagReader::default();
-    bag.add("the file", reader, scan)?;
-    bag.finish(options)
+    let mut bag = BagReader::new(options.clone());
+    bag.add("the file", reader, &mut RecordedTimes::default(), scan)?;
+    bag.finish()
 }
 
 /// Returns a frame's name without the slash that ROS 1 began them with.
@@ -195,8 +198,8 @@ fn frame(name: &str) -> String {
 impl Found {
     fn bag(mut self, options: &BagOptions) -> Result<Bag, BagError> {
         let scan_topic = self.scan_topic(options)?;
-        let mut left_out =
-            LeftOut { malformed: self.malformed, too_many_beams: self.too_many_beams, ..LeftOut::default() };
+        let (malformed, too_many_beams, over_limit) = (self.malformed, self.too_many_beams, self.over_limit);
+        let mut left_out = LeftOut { malformed, too_many_beams, over_limit, ..LeftOut::default() };
         let transforms = self.robot_transforms(&scan_topic);
         let scans = self.scans.get_mut(&scan_topic).map(std::mem::take).unwrap_or_default();
         let (scan_frame, scans) = self.of_one_frame(scans, &mut left_out);

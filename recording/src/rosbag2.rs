@@ -7,8 +7,9 @@ use crate::writer::{Durability, TopicCount};
 use msg::Stamp;
 use std::fmt::Write as _;
 
-/// Name of rosbag2's metadata record in a file, and of its only entry.
+/// Name of rosbag2's metadata record in a file.
 pub const METADATA: &str = "rosbag2";
+/// Name of the only entry of this record.
 pub const SERIALIZED_METADATA: &str = "serialized_metadata";
 /// Name of the file that describes the bag of a folder.
 pub const METADATA_FILE: &str = "metadata.yaml";

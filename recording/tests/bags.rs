@@ -2,9 +2,10 @@
 
 mod messages;
 
-use messages::{SECOND, file, odometry, payload, read, scan, transform};
+use messages::{SECOND, file, odometry, payload, read, scan, scan_buffer, transform};
 use msg::{Pose2, Stamp};
-use recording::bag::{Bag, BagError, BagOptions};
+use recording::RecordingReader;
+use recording::bag::{Bag, BagError, BagOptions, BagReader, RecordedTimes};
 use ros_messages::{LaserScan, Message, Odometry as RosOdometry, TfMessage, TransformStamped};
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
@@ -116,12 +117,45 @@ fn a_scanner_upside_down_is_mirrored_and_a_tilted_one_refused() {
     assert!(read_messages(&vertical, &told).is_ok());
 }
 
+/// Quaternion of a turn about the y axis.
+fn pitched(degrees: f64) -> [f64; 4] {
+    let (sin, cos) = (degrees.to_radians() / 2.0).sin_cos();
+    [0.0, sin, 0.0, cos]
+}
+
 #[test]
-fn a_mount_that_changes_is_refused() {
-    let mut messages = robot(mounted([0.0, 0.0, 0.0, 1.0], 0.1));
-    messages.push(("/tf_static", TfMessage::TYPE, 1, tf(vec![mounted([0.0, 0.0, 0.0, 1.0], 0.4)])));
+fn a_mount_that_changes_is_refused_in_each_direction_and_angle() {
+    let first = mounted(pitched(0.0), 0.1);
+    let higher = TransformStamped { translation: [0.1, 0.0, 0.5], ..first.clone() };
+    for other in [mounted(pitched(0.0), 0.4), higher, mounted(pitched(10.0), 0.1)] {
+        let mut messages = robot(first.clone());
+        messages.push(("/tf_static", TfMessage::TYPE, 1, tf(vec![other])));
+        let error = read_messages(&messages, &BagOptions::default()).unwrap_err();
+        assert!(matches!(error, BagError::Moving { .. }), "{error}");
+    }
+    let mut messages = robot(first);
+    messages.push(("/tf_static", TfMessage::TYPE, 1, tf(vec![mounted(pitched(1.0), 0.12)])));
+    assert!(read_messages(&messages, &BagOptions::default()).is_ok(), "an adjustment");
+}
+
+#[test]
+fn a_scanner_and_a_base_on_two_branches_of_one_tree_are_connected() {
+    // As where odometry is that of base_footprint, which hangs below base_link, beside the scanner.
+    let turned = |parent, child, yaw: f64, x| TransformStamped {
+        rotation: [0.0, 0.0, (yaw / 2.0).sin(), (yaw / 2.0).cos()],
+        ..transform(parent, child, [x, 0.0, 0.0], 0)
+    };
+    let base = |yaw| turned("base_link", "base_footprint", yaw, 1.0);
+    let mut messages = robot(turned("base_link", "base_scan", 0.0, 1.5));
+    messages.push(("/tf_static", TfMessage::TYPE, 0, tf(vec![base(PI / 2.0)])));
+    let found = read_messages(&messages, &BagOptions::default()).unwrap().base_from_scan;
+    let expected = Pose2::new(0.0, -0.5, -PI / 2.0);
+    let apart = expected.between(found);
+    assert!(apart.x_m.hypot(apart.y_m) < 1e-9 && apart.yaw_rad.abs() < 1e-9, "{found:?}");
+    // Each branch must be fixed.
+    messages.push(("/tf_static", TfMessage::TYPE, 1, tf(vec![base(0.0)])));
     let error = read_messages(&messages, &BagOptions::default()).unwrap_err();
-    assert!(matches!(error, BagError::Moving { .. }), "{error}");
+    assert!(matches!(&error, BagError::Moving { child, .. } if child == "base_footprint"), "{error}");
 }
 
 #[test]
@@ -213,6 +247,29 @@ fn after_a_clock_was_set_back_all_scans_are_in_the_order_of_the_recording() {
     assert_eq!((ways(&other), other.left_out), (ways(&bag), bag.left_out));
     let error = read_messages(&set_back(false), &BagOptions::default()).unwrap_err();
     assert!(matches!(error, BagError::Clocks { scan_steps: 0, steps: 1, .. }), "{error}");
+}
+
+#[test]
+fn a_clock_that_is_set_back_between_two_files_of_a_bag_gives_the_same_as_in_one() {
+    let mut messages = set_back(true);
+    messages.iter_mut().skip(1).for_each(|(_, _, at, _)| {
+        *at += if *at < SECOND { 100 * SECOND } else { 70 * SECOND };
+    });
+    let ways = |bag: &Bag| bag.scans.iter().map(|scan| (scan.stamp, scan.odom_from_base)).collect::<Vec<_>>();
+    let whole = read_messages(&messages, &BagOptions::default()).unwrap();
+    for cut in [20, 31, 45] {
+        let mut bag = BagReader::new(BagOptions::default());
+        let (mut times, mut scan, mut ended) = (RecordedTimes::default(), scan_buffer(), Stamp(0));
+        for part in [&messages[..cut], &messages[cut..]] {
+            let bytes = file(part);
+            let mut reader = RecordingReader::new(&bytes[..]);
+            let (first, last) = bag.add("a part", &mut reader, &mut times, &mut scan).unwrap().unwrap();
+            assert!(first > ended, "the times of the files do not overlap: {first:?} after {ended:?}");
+            ended = last;
+        }
+        let split = bag.finish().unwrap();
+        assert_eq!((ways(&split), split.left_out), (ways(&whole), whole.left_out), "cut at {cut}");
+    }
 }
 
 #[test]

@@ -48,8 +48,8 @@ fn the_description_of_a_bag_has_the_sums_of_its_files_and_names_in_quotes() {
         BagFile { name: "a_1.mcap".into(), ..BagFile::default() },
         BagFile { name: "empty.mcap".into(), ..BagFile::default() },
     ];
-    [30, 20, 40].map(|at| files[0].add(Stamp(at)));
-    [70, 50].map(|at| files[1].add(Stamp(at)));
+    [30, 20, 40].into_iter().for_each(|at| files[0].add(Stamp(at)));
+    [70, 50].into_iter().for_each(|at| files[1].add(Stamp(at)));
     let topic = |name: &str, durability, messages| BagTopic {
         message_type: "std_msgs/String".into(),
         durability,

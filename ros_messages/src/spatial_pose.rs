@@ -70,6 +70,24 @@ impl SpatialPose {
         }
     }
 
+    /// Returns the pose of the parent in this frame.
+    pub fn inverse(&self) -> Self {
+        let [x, y, z, w] = self.rotation;
+        let turned_back = Self { position_m: [0.0; 3], rotation: [-x, -y, -z, w] };
+        let position_m = turned_back.rotate(self.position_m.map(|part| -part));
+        Self { position_m, ..turned_back }
+    }
+
+    /// Returns how far another pose in the same parent is from this one: metres, and the angle between them in radians, 0 to pi.
+    pub fn distance(&self, other: &Self) -> (f64, f64) {
+        let parts = self.position_m.iter().zip(other.position_m);
+        let distance_m = parts.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt();
+        let [x, y, z, w] = self.inverse().compose(other).rotation;
+        // A quaternion and its negative are one rotation.
+        let sine = (x * x + y * y + z * z).sqrt();
+        (distance_m, 2.0 * sine.atan2(w.abs()))
+    }
+
     /// Returns the mount of a scanner with this pose on the base.
     ///
     /// # Errors
@@ -144,6 +162,23 @@ mod tests {
             [(found.x_m, expected.x_m), (found.y_m, expected.y_m), (found.yaw_rad, expected.yaw_rad)]
         {
             assert!((found - expected).abs() < 1e-12, "{found} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn a_pose_composed_with_its_inverse_is_the_identity_and_distances_are_in_space() {
+        for axis in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.0, 0.8]] {
+            for degrees in [0.0, 30.0, 170.0, -90.0, 350.0] {
+                let pose = SpatialPose { position_m: [1.0, -2.0, 0.5], ..about(axis, degrees) };
+                for both in [pose.compose(&pose.inverse()), pose.inverse().compose(&pose)] {
+                    let (metres, radians) = both.distance(&SpatialPose::IDENTITY);
+                    assert!(metres < 1e-12 && radians < 1e-7, "{both:?}");
+                }
+                let (metres, radians) = SpatialPose::IDENTITY.distance(&pose);
+                let shorter = if degrees > 180.0 { 360.0 - degrees } else { degrees.abs() };
+                assert!((metres - 5.25_f64.sqrt()).abs() < 1e-12, "{metres}");
+                assert!((radians.to_degrees() - shorter).abs() < 1e-6, "{radians} of {degrees} degrees");
+            }
         }
     }
 

@@ -28,6 +28,16 @@ pub enum BagError {
         /// What is wrong with the first of them, with its topic.
         first_fault: String,
     },
+    /// What is needed may be in messages for which there was no space.
+    #[error(
+        "{error}; {count} messages and transforms are more than is kept of a bag; cut it, or leave out topics"
+    )]
+    OverLimit {
+        /// What is missing.
+        error: Box<BagError>,
+        /// Number of these messages.
+        count: u64,
+    },
     /// There is no scan.
     #[error(
         "the bag has no sensor_msgs/LaserScan{} in CDR ({too_many_beams} scans with more than {BEAMS_MAX} beams, \
@@ -157,7 +167,9 @@ impl BagError {
     pub fn scan_topics(&self) -> Option<&[String]> {
         match self {
             Self::SeveralScans(topics) => Some(topics),
-            Self::Damaged { error, .. } | Self::Malformed { error, .. } => error.scan_topics(),
+            Self::Damaged { error, .. } | Self::Malformed { error, .. } | Self::OverLimit { error, .. } => {
+                error.scan_topics()
+            }
             _ => None,
         }
     }

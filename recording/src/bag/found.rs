@@ -1,6 +1,7 @@
 //! What a bag has: scans, odometry and transforms by topic, within limits.
 
 use super::epochs::Timed;
+use super::frames::is_odometry;
 use super::{BagScan, frame};
 use crate::RecordedMessage;
 use msg::{Pose2, Scan};
@@ -24,7 +25,7 @@ const POSES_MAX: usize = 50_000_000;
 const BEAMS_MIN: usize = 2;
 /// First bytes of a message that is compressed by itself; CDR begins with a zero.
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
-/// Change of a mount that is an adjustment of the same one, metres and radians.
+/// Change of a mount in space that is an adjustment of the same one, metres and radians.
 const MOUNT_CHANGE_M: f64 = 0.05;
 const MOUNT_CHANGE_RAD: f64 = 0.05;
 
@@ -59,7 +60,7 @@ pub struct Edge {
     pub first: SpatialPose,
     /// Whether a later one differs.
     pub changes: bool,
-    /// All of them, in the plane.
+    /// All of them, in the plane, where the transform may be odometry.
     pub poses: Vec<Timed<Pose2>>,
 }
 
@@ -68,6 +69,37 @@ pub type Edges = HashMap<(String, String), Edge>;
 
 /// A scan before its odometry is known, with the number of its frame.
 pub type RawScan = Timed<(usize, BagScan)>;
+
+/// Space that is left for what is kept of a bag.
+struct Space {
+    scans: usize,
+    ranges_bytes: usize,
+    poses: usize,
+}
+
+impl Default for Space {
+    fn default() -> Self {
+        Self { scans: SCANS_MAX, ranges_bytes: RANGES_BYTES_MAX, poses: POSES_MAX }
+    }
+}
+
+impl Space {
+    /// Takes the space of a scan with so many bytes of ranges; returns whether there is as much.
+    fn take_scan(&mut self, bytes: usize) -> bool {
+        let fits = self.scans > 0 && self.ranges_bytes >= bytes;
+        if fits {
+            (self.scans, self.ranges_bytes) = (self.scans - 1, self.ranges_bytes - bytes);
+        }
+        fits
+    }
+
+    /// Takes the space of a pose; returns whether there is one.
+    fn take_pose(&mut self) -> bool {
+        let fits = self.poses > 0;
+        self.poses -= usize::from(fits);
+        fits
+    }
+}
 
 /// What is found in a bag, by topic.
 #[derive(Default)]
@@ -83,12 +115,19 @@ pub struct Found {
     pub first_fault: Option<String>,
     pub too_many_beams: u64,
     pub compressed: u64,
-    scan_count: usize,
-    ranges_bytes: usize,
-    pose_count: usize,
+    /// Messages and transforms for which there was no space.
+    pub over_limit: u64,
+    /// Frame of the odometry in transforms, if it is named.
+    odom_frame: Option<String>,
+    space: Space,
 }
 
 impl Found {
+    /// Begins without messages. Of transforms all poses are kept from this frame, else from frames named `odom`.
+    pub fn new(odom_frame: Option<String>) -> Self {
+        Self { odom_frame, ..Self::default() }
+    }
+
     /// Adds a message, or counts it as malformed.
     pub fn add(&mut self, message: &RecordedMessage, scan: &mut Scan) {
         if self.topics.len() < FRAMES_MAX {
@@ -108,18 +147,21 @@ impl Found {
     fn decode(&mut self, message: &RecordedMessage, scan: &mut Scan) -> Result<(), MessageFault> {
         match &*message.message_type {
             LaserScan::TYPE => self.add_scan(message, scan),
-            Odometry::TYPE if self.pose_count < POSES_MAX => {
+            Odometry::TYPE => {
                 let mut from = Reader::new(&message.payload)?;
                 let odometry = read::odometry(&mut from)?;
                 let (position, rotation) = (odometry.translation, odometry.rotation);
                 let value = spatial_pose::planar_pose(position, rotation)
                     .ok_or_else(|| MessageFault::Pose { of: "the pose".into(), position, rotation })?;
+                if !self.space.take_pose() {
+                    self.over_limit += 1;
+                    return Ok(());
+                }
                 let poses = self.odometry.entry(message.topic.to_string()).or_default();
                 if poses.base_frame != odometry.child_frame_id {
                     poses.base_frame = odometry.child_frame_id.to_owned();
                 }
                 poses.poses.push(Timed { at: message.at, stamp: odometry.stamp, value });
-                self.pose_count += 1;
                 Ok(())
             }
             TfMessage::TYPE => {
@@ -147,10 +189,6 @@ impl Found {
             }
             Err(fault) => return Err(fault.into()),
         };
-        let bytes = size_of_val(scan.ranges_m());
-        if self.scan_count >= SCANS_MAX || self.ranges_bytes + bytes > RANGES_BYTES_MAX {
-            return Ok(());
-        }
         let value = checked(scan)?;
         let known = self.scan_frames.iter().position(|known| *known == scan_frame);
         let frame_number = match known {
@@ -161,7 +199,10 @@ impl Found {
             }
             None => return Err(MessageFault::Frames),
         };
-        (self.scan_count, self.ranges_bytes) = (self.scan_count + 1, self.ranges_bytes + bytes);
+        if !self.space.take_scan(size_of_val(scan.ranges_m())) {
+            self.over_limit += 1;
+            return Ok(());
+        }
         let raw = Timed { at: message.at, stamp: value.stamp, value: (frame_number, value) };
         self.scans.entry(message.topic.to_string()).or_default().push(raw);
         Ok(())
@@ -179,22 +220,29 @@ impl Found {
             rotation,
         })?;
         let is_known = self.transforms.contains_key(&*message.topic);
-        if self.pose_count >= POSES_MAX || (!is_known && self.transforms.len() >= TF_TOPICS_MAX) {
+        if !is_known && self.transforms.len() >= TF_TOPICS_MAX {
+            self.over_limit += 1;
             return Ok(());
         }
         let edges = self.transforms.entry(message.topic.to_string()).or_default();
         let key = (frame(transform.frame_id), frame(transform.child_frame_id));
         if !edges.contains_key(&key) && edges.len() >= FRAMES_MAX {
+            self.over_limit += 1;
             return Ok(());
         }
-        self.pose_count += 1;
+        let may_be_odometry = is_odometry(&key.0, self.odom_frame.as_deref());
         let edge =
             edges.entry(key).or_insert_with(|| Edge { first: pose, changes: false, poses: Vec::new() });
-        let value = pose.planar();
-        let change = edge.first.planar().between(value);
-        edge.changes |= change.x_m.hypot(change.y_m) > MOUNT_CHANGE_M
-            || change.yaw_rad.sin().atan2(change.yaw_rad.cos()).abs() > MOUNT_CHANGE_RAD;
-        edge.poses.push(Timed { at: message.at, stamp: transform.stamp, value });
+        let (moved_m, turned_rad) = edge.first.distance(&pose);
+        edge.changes |= moved_m > MOUNT_CHANGE_M || turned_rad > MOUNT_CHANGE_RAD;
+        // A robot with an arm has many others.
+        if may_be_odometry {
+            if self.space.take_pose() {
+                edge.poses.push(Timed { at: message.at, stamp: transform.stamp, value: pose.planar() });
+            } else {
+                self.over_limit += 1;
+            }
+        }
         Ok(())
     }
 }
@@ -245,4 +293,64 @@ fn checked(scan: &Scan) -> Result<BagScan, MessageFault> {
         range_max_m: scan.range_max_m,
         ranges_m: scan.ranges_m().to_vec(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use msg::Stamp;
+    use ros_messages::{TransformStamped, encode};
+    use std::rc::Rc;
+
+    fn message(topic: &str, message: &impl Message, message_type: &str) -> RecordedMessage {
+        let mut payload = Vec::new();
+        encode(message, &mut payload);
+        let (encoding, at) = (Rc::from("cdr"), Stamp(0));
+        RecordedMessage { topic: topic.into(), message_type: message_type.into(), encoding, at, payload }
+    }
+
+    fn transform(parent: &str, child: &str) -> TransformStamped {
+        TransformStamped {
+            stamp: Stamp(0),
+            frame_id: parent.into(),
+            child_frame_id: child.into(),
+            translation: [0.0; 3],
+            rotation: [0.0, 0.0, 0.0, 1.0],
+        }
+    }
+
+    #[test]
+    fn an_arm_takes_no_space_of_odometry_and_what_has_no_space_is_counted() {
+        let space = Space { scans: 2, ranges_bytes: 1000, poses: 3 };
+        let mut found = Found { space, ..Found::default() };
+        let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
+        let moving =
+            TfMessage { transforms: vec![transform("shoulder", "elbow"), transform("odom", "base_link")] };
+        let scans = LaserScan {
+            angle_min: -1.0,
+            angle_increment: 0.01,
+            range_max: 3.5,
+            ranges: vec![1.5; 100],
+            ..LaserScan::default()
+        };
+        for _ in 0..5 {
+            found.add(&message("/tf", &moving, TfMessage::TYPE), &mut scan);
+            found.add(&message("/scan", &scans, LaserScan::TYPE), &mut scan);
+        }
+        let poses = |parent: &str, child: &str| {
+            found.transforms["/tf"][&(parent.to_owned(), child.to_owned())].poses.len()
+        };
+        assert_eq!((poses("shoulder", "elbow"), poses("odom", "base_link")), (0, 3));
+        assert_eq!((found.scans["/scan"].len(), found.malformed), (2, 0));
+        assert_eq!(found.over_limit, 2 + 3);
+        found.add(
+            &message(
+                "/odom",
+                &Odometry { orientation: [0.0, 0.0, 0.0, 1.0], ..Odometry::default() },
+                Odometry::TYPE,
+            ),
+            &mut scan,
+        );
+        assert_eq!((found.over_limit, found.malformed, found.odometry.len()), (6, 0, 0));
+    }
 }

@@ -8,12 +8,17 @@ use ros_messages::spatial_pose::{ScannerMount, SpatialPose};
 /// Transforms that an error names.
 const NAMED_MAX: usize = 16;
 
+/// Returns whether transforms from this frame may be odometry: it is the named one, else one with the usual name.
+pub fn is_odometry(parent: &str, odom_frame: Option<&str>) -> bool {
+    match odom_frame {
+        Some(wished) => parent == frame(wished),
+        None => parent == "odom" || parent.ends_with("/odom"),
+    }
+}
+
 /// Returns the transform from the odometry's frame that leads to the scanner, else the only one.
 pub fn odometry_transform(transforms: &Edges, scan_frame: &str, options: &BagOptions) -> Option<Poses> {
-    let is_odom = |name: &str| match &options.odom_frame {
-        Some(wished) => name == frame(wished),
-        None => name == "odom" || name.ends_with("/odom"),
-    };
+    let is_odom = |name: &str| is_odometry(name, options.odom_frame.as_deref());
     let poses = |child: &str, edge: &Edge| Poses { base_frame: child.to_owned(), poses: edge.poses.clone() };
     let mut at = scan_frame;
     for _ in 0..FRAMES_MAX {
@@ -43,6 +48,27 @@ fn parent_of<'a>(transforms: &'a Edges, child: &str) -> Option<(&'a (String, Str
     transforms.iter().filter(|((_, name), _)| name == child).min_by_key(|(key, _)| *key)
 }
 
+/// A frame on the way from a first one to the root of its tree.
+struct Ancestor<'a> {
+    frame: &'a str,
+    /// Pose of the first frame in this one.
+    pose: SpatialPose,
+    /// The first transform on the way here that changes: parent and child.
+    moving: Option<&'a (String, String)>,
+}
+
+/// Returns the frame itself, its parent, and so on.
+fn ancestors<'a>(transforms: &'a Edges, first: &'a str) -> Vec<Ancestor<'a>> {
+    let mut ancestors = vec![Ancestor { frame: first, pose: SpatialPose::IDENTITY, moving: None }];
+    while let Some(last) = ancestors.last().filter(|_| ancestors.len() <= FRAMES_MAX)
+        && let Some((names, edge)) = parent_of(transforms, last.frame)
+    {
+        let moving = last.moving.or(edge.changes.then_some(names));
+        ancestors.push(Ancestor { frame: &names.0, pose: edge.first.compose(&last.pose), moving });
+    }
+    ancestors
+}
+
 /// Returns the scanner's mount: what is given, else along the transforms between scanner and base, else what was recorded.
 /// Without a base's frame the scanner is the base, but may hang upside down.
 pub fn mount(
@@ -54,22 +80,23 @@ pub fn mount(
     if let Some(base_from_scan) = options.base_from_scan {
         return Ok(ScannerMount::upright(base_from_scan));
     }
-    let (mut at, mut pose, mut moving) = (scan_frame, SpatialPose::IDENTITY, None);
-    for _ in 0..FRAMES_MAX {
-        if Some(at) == base_frame {
-            break;
-        }
-        let Some(((parent, child), edge)) = parent_of(transforms, at) else { break };
-        if edge.changes {
-            moving.get_or_insert((parent, child));
-        }
-        // Without a base the first frame that moves ends the robot.
-        if edge.changes && base_frame.is_none() {
-            break;
-        }
-        (pose, at) = (edge.first.compose(&pose), parent);
-    }
-    if let Some(base_frame) = base_frame.filter(|base_frame| at != *base_frame) {
+    let of_scanner = ancestors(transforms, scan_frame);
+    let tilted = |base_frame: &str| {
+        let (scan_frame, base_frame) = (scan_frame.to_owned(), base_frame.to_owned());
+        |tilt_deg| BagError::Tilted { scan_frame, base_frame, tilt_deg }
+    };
+    let Some(base_frame) = base_frame else {
+        // The first frame that moves ends the robot.
+        let fixed = of_scanner.iter().take_while(|ancestor| ancestor.moving.is_none()).last();
+        let (pose, frame) = fixed.map_or((SpatialPose::IDENTITY, scan_frame), |last| (last.pose, last.frame));
+        let mount = pose.mount().map_err(tilted(frame))?;
+        return Ok(ScannerMount { base_from_scan: Pose2::IDENTITY, ..mount });
+    };
+    let of_base = ancestors(transforms, base_frame);
+    let common = of_scanner
+        .iter()
+        .find_map(|scanner| Some((scanner, of_base.iter().find(|base| base.frame == scanner.frame)?)));
+    let Some((scanner, base)) = common else {
         return options.recorded_base_from_scan.map(ScannerMount::upright).ok_or_else(|| {
             BagError::NoScanner {
                 scan_topic: scan_topic.to_owned(),
@@ -77,16 +104,11 @@ pub fn mount(
                 base_frame: base_frame.to_owned(),
             }
         });
-    }
-    if let Some((parent, child)) = moving.filter(|_| base_frame.is_some()) {
+    };
+    if let Some((parent, child)) = scanner.moving.or(base.moving) {
         return Err(BagError::Moving { parent: parent.clone(), child: child.clone() });
     }
-    let mount = pose.mount().map_err(|tilt_deg| BagError::Tilted {
-        scan_frame: scan_frame.to_owned(),
-        base_frame: at.to_owned(),
-        tilt_deg,
-    })?;
-    Ok(if base_frame.is_some() { mount } else { ScannerMount { base_from_scan: Pose2::IDENTITY, ..mount } })
+    base.pose.inverse().compose(&scanner.pose).mount().map_err(tilted(base_frame))
 }
 
 /// Returns the scan of a scanner that hangs upside down, as seen from above: its beams turn the other way, in the same order.

@@ -2,8 +2,30 @@
 
 use super::epochs::{PAUSE_MIN_NS, STEP_MIN_S};
 use msg::Stamp;
+use std::collections::HashMap;
+use std::rc::Rc;
 
-/// Follows the recorder's time of one topic of a file, and removes steps back of its clock: the messages of a topic stand in the
+/// Topics whose times are followed: a bag has fewer.
+const TOPICS_MAX: usize = 4096;
+
+/// Follows the recorder's times of all topics, over the files of a bag in the order in which they were recorded.
+#[derive(Debug, Default)]
+pub struct RecordedTimes {
+    /// For each topic: some programs write one after the other.
+    topics: HashMap<Rc<str>, RecordedTime>,
+}
+
+impl RecordedTimes {
+    /// Returns the time of a topic's next message, as [`RecordedTime::next`] does.
+    pub(super) fn next(&mut self, topic: &Rc<str>, at: Stamp) -> Stamp {
+        if self.topics.len() >= TOPICS_MAX && !self.topics.contains_key(topic) {
+            return at;
+        }
+        self.topics.entry(topic.clone()).or_default().next(at)
+    }
+}
+
+/// Follows the recorder's time of one topic, and removes steps back of its clock: the messages of a topic stand in the
 /// order in which they were recorded, but for what a recorder's cache delays.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RecordedTime {

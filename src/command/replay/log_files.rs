@@ -5,7 +5,7 @@ use crate::command::output;
 use formats::bag_folder::{files_of, unlisted};
 use msg::{Scan, Stamp};
 use recording::RecordingReader;
-use recording::bag::{Bag, BagOptions, BagReader};
+use recording::bag::{Bag, BagOptions, BagReader, RecordedTimes};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -30,13 +30,15 @@ pub fn note_unlisted(folder: &Path, listed: &[PathBuf]) {
 /// Reads the scans and the odometry of one robot from recordings that are one log: folders, or parts without longer pauses between
 /// them.
 pub fn read_bag(paths: &[PathBuf], options: &BagOptions) -> Result<Bag, ReplayError> {
-    let mut bag = BagReader::default();
+    let mut bag = BagReader::new(options.clone());
     let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
     let mut parts: Vec<((Stamp, Stamp), &PathBuf)> = Vec::new();
     for path in paths {
         let mut of_scans: Option<(Stamp, Stamp)> = None;
         let files = files_of(path)?;
         note_unlisted(path, &files);
+        // The files of a folder were written in their order; parts that a person names may have any.
+        let mut times = RecordedTimes::default();
         for file in files {
             let opened =
                 File::open(&file).map_err(|source| ReplayError::Read { path: file.clone(), source })?;
@@ -44,6 +46,7 @@ pub fn read_bag(paths: &[PathBuf], options: &BagOptions) -> Result<Bag, ReplayEr
                 .add(
                     &file.display().to_string(),
                     &mut RecordingReader::new(BufReader::new(opened)),
+                    &mut times,
                     &mut scan,
                 )
                 .map_err(|why| ReplayError::Bag { path: file.clone(), why: why.into() })?;
@@ -63,5 +66,5 @@ pub fn read_bag(paths: &[PathBuf], options: &BagOptions) -> Result<Bag, ReplayEr
             return Err(ReplayError::NotOneBag { first, second, pause_s });
         }
     }
-    bag.finish(options).map_err(|why| ReplayError::Bag { path: paths[0].clone(), why })
+    bag.finish().map_err(|why| ReplayError::Bag { path: paths[0].clone(), why })
 }

@@ -256,8 +256,15 @@ fn note_left_out(path: &Path, bag: &Bag) {
     if let Some(fault) = &bag.first_fault {
         output::note(&format!("{path}: what is wrong with the first malformed message, on {fault}"));
     }
-    let LeftOut { malformed, too_many_beams, without_odometry, other_frames, stray_stamps, clock_steps } =
-        bag.left_out;
+    let LeftOut {
+        malformed,
+        too_many_beams,
+        without_odometry,
+        other_frames,
+        stray_stamps,
+        over_limit,
+        clock_steps,
+    } = bag.left_out;
     let has_no_beam_times = |scan: &&BagScan| scan.time_increment_s == 0.0 && scan.scan_time_s > 0.0;
     let without_beam_times = bag.scans.iter().filter(has_no_beam_times).count() as u64;
     let reasons = [
@@ -271,6 +278,7 @@ fn note_left_out(path: &Path, bag: &Bag) {
         (too_many_beams, "scans have more than 4096 beams, which is the limit, and are left out"),
         (other_frames, "scans are of another scanner (frame_id) than most on this topic and are left out"),
         (stray_stamps, "scans have single stamps that are wrong by more than a second and are left out"),
+        (over_limit, "messages and transforms are more than is kept of a bag, and are left out; cut the bag"),
         (
             clock_steps,
             "times the clock of the stamps was set back by more than a second; the stamps after that go on after those before it",

@@ -229,6 +229,8 @@ pub struct LeftOutOfLog {
     pub other_frames: u64,
     /// Scans with single wrong stamps.
     pub stray_stamps: u64,
+    /// Messages and transforms that are more than is kept of a bag.
+    pub over_limit: u64,
     /// Times when the stamps went back by more than a second.
     pub clock_steps: u64,
 }
@@ -242,9 +244,10 @@ impl From<LeftOut> for LeftOutOfLog {
             without_odometry,
             other_frames,
             stray_stamps,
+            over_limit,
             clock_steps,
         } = left_out;
-        Self { too_many_beams, without_odometry, other_frames, stray_stamps, clock_steps }
+        Self { too_many_beams, without_odometry, other_frames, stray_stamps, over_limit, clock_steps }
     }
 }
 
