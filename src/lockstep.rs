@@ -159,9 +159,7 @@ impl Lockstep {
     /// # Errors
     /// As [`Lockstep::new`].
     pub fn replay(config: &FleetConfig, recording: FleetRecording) -> Result<Self, Error> {
-        let mut fleet = Self::new(config, false)?;
-        fleet.world.recording = Some(Rc::new(recording));
-        Ok(fleet)
+        Self::replay_with(config, Rc::new(recording), false)
     }
 
     /// Builds a fleet like [`Lockstep::replay`] whose messages transports pass on: the robots send transforms, too.
@@ -169,8 +167,18 @@ impl Lockstep {
     /// # Errors
     /// As [`Lockstep::new`].
     pub fn replay_for_transports(config: &FleetConfig, recording: Rc<FleetRecording>) -> Result<Self, Error> {
+        Self::replay_with(config, recording, true)
+    }
+
+    /// Builds a fleet of recorded robots. Its time begins where the recording does.
+    fn replay_with(
+        config: &FleetConfig,
+        recording: Rc<FleetRecording>,
+        sends_transforms: bool,
+    ) -> Result<Self, Error> {
         let mut fleet = Self::new(config, false)?;
-        (fleet.world.recording, fleet.world.sends_transforms) = (Some(recording), true);
+        fleet.world.network.clock().set(fleet.world.run.epoch.moment(recording.begins()));
+        (fleet.world.recording, fleet.world.sends_transforms) = (Some(recording), sends_transforms);
         Ok(fleet)
     }
 

@@ -1,5 +1,6 @@
 //! How far a replay has come, and what its listeners want: pause, speed, another place.
 
+use std::ops::Range;
 use std::time::Duration;
 
 /// Slowest and fastest speed that may be chosen, in times real time.
@@ -64,22 +65,25 @@ impl std::fmt::Display for Speed {
 
 /// A place outside of the recording.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("{wished_s:.2} s is not in the recording, which has 0 to {ends_s:.2} s")]
+#[error("{wished_s:.2} s is not in the recording, which has {begins_s:.2} to {ends_s:.2} s")]
 pub struct SeekError {
     /// Place that was asked for, seconds.
     pub wished_s: f64,
+    /// Beginning of the recording, seconds.
+    pub begins_s: f64,
     /// End of the recording, seconds.
     pub ends_s: f64,
 }
 
-/// State of a replay: a place, counted in ticks from the beginning, and how it changes.
+/// State of a replay: a place, counted in ticks from the beginning of the run, and how it changes.
 #[derive(Clone, Debug)]
 pub struct Playback {
     /// Duration of a tick, seconds.
     tick_s: f64,
-    /// Number of ticks of the recording.
-    ticks: u64,
-    /// Number of ticks that were played.
+    /// Tick at which the recording begins, and the one at which it ends.
+    first: u64,
+    last: u64,
+    /// Tick up to which it was played.
     done: u64,
     speed: Speed,
     is_paused: bool,
@@ -90,10 +94,11 @@ pub struct Playback {
 }
 
 impl Playback {
-    /// Begins at the beginning.
-    pub fn new(ticks: u64, tick: Duration, speed: Speed) -> Self {
+    /// Begins at the beginning of a recording of these ticks of the run.
+    pub fn new(ticks: Range<u64>, tick: Duration, speed: Speed) -> Self {
+        let (first, last) = (ticks.start, ticks.end.max(ticks.start));
         let tick_s = tick.as_secs_f64();
-        Self { tick_s, ticks, done: 0, speed, is_paused: false, seeking: None, credit_s: 0.0 }
+        Self { tick_s, first, last, done: first, speed, is_paused: false, seeking: None, credit_s: 0.0 }
     }
 
     /// Returns the place, seconds of the run.
@@ -101,9 +106,14 @@ impl Playback {
         self.done as f64 * self.tick_s
     }
 
+    /// Returns the beginning of the recording, seconds of the run.
+    pub fn begins_s(&self) -> f64 {
+        self.first as f64 * self.tick_s
+    }
+
     /// Returns the end of the recording, seconds of the run.
     pub fn ends_s(&self) -> f64 {
-        self.ticks as f64 * self.tick_s
+        self.last as f64 * self.tick_s
     }
 
     /// Returns the chosen speed.
@@ -129,7 +139,7 @@ impl Playback {
 
     /// Returns whether all was played.
     pub fn is_over(&self) -> bool {
-        self.done >= self.ticks && self.seeking.is_none()
+        self.done >= self.last && self.seeking.is_none()
     }
 
     /// Returns whether it is on its way to another place.
@@ -142,14 +152,14 @@ impl Playback {
     /// # Errors
     /// The recording does not reach there.
     pub fn seek(&mut self, to_s: f64) -> Result<bool, SeekError> {
-        let ends_s = self.ends_s();
-        if !(0.0..=ends_s).contains(&to_s) {
-            return Err(SeekError { wished_s: to_s, ends_s });
+        let (begins_s, ends_s) = (self.begins_s(), self.ends_s());
+        if !(begins_s..=ends_s).contains(&to_s) {
+            return Err(SeekError { wished_s: to_s, begins_s, ends_s });
         }
-        let to = ((to_s / self.tick_s).round() as u64).min(self.ticks);
+        let to = ((to_s / self.tick_s).round() as u64).clamp(self.first, self.last);
         let is_back = to < self.done;
         if is_back {
-            self.done = 0;
+            self.done = self.first;
         }
         (self.seeking, self.credit_s) = (Some(to), 0.0);
         Ok(is_back)
@@ -168,7 +178,7 @@ impl Playback {
         if self.seeking.is_some_and(|to| self.done >= to) {
             self.seeking = None;
         }
-        if self.done >= self.ticks {
+        if self.done >= self.last {
             return None;
         }
         if self.seeking.is_none() {
@@ -197,7 +207,7 @@ mod tests {
 
     #[test]
     fn time_passes_at_the_chosen_speed_and_not_while_paused() {
-        let mut playback = Playback::new(1000, TICK, Speed::Times(1.0));
+        let mut playback = Playback::new(0..1000, TICK, Speed::Times(1.0));
         assert_eq!(play(&mut playback, 100), 10);
         playback.set_speed(Speed::times(2.0).unwrap());
         assert_eq!(play(&mut playback, 100), 20);
@@ -213,7 +223,7 @@ mod tests {
 
     #[test]
     fn a_seek_reaches_its_place_while_paused_and_begins_anew_to_go_back() {
-        let mut playback = Playback::new(1000, TICK, Speed::Times(1.0));
+        let mut playback = Playback::new(0..1000, TICK, Speed::Times(1.0));
         playback.set_paused(true);
         assert_eq!(playback.seek(5.0), Ok(false));
         assert_eq!(play(&mut playback, 0), 500);
@@ -226,6 +236,22 @@ mod tests {
             assert!(why.contains("0 to 10.00 s"), "{why}");
         }
         assert!((playback.position_s() - 1.0).abs() < 1e-9, "a refused place changes nothing");
+    }
+
+    #[test]
+    fn a_recording_of_a_later_part_of_the_run_begins_with_its_first_message() {
+        let mut playback = Playback::new(360_000..360_500, TICK, Speed::Times(1.0));
+        assert_eq!((playback.begins_s(), playback.position_s(), playback.ends_s()), (3600.0, 3600.0, 3605.0));
+        assert_eq!(play(&mut playback, 100), 10);
+        assert_eq!(playback.seek(3601.0), Ok(false));
+        assert_eq!(play(&mut playback, 0), 90);
+        assert_eq!(playback.seek(3600.5), Ok(true));
+        assert_eq!(play(&mut playback, 0), 50, "from its beginning again, and not from that of the run");
+        let why = playback.seek(0.0).unwrap_err().to_string();
+        assert!(why.contains("3600.00 to 3605.00 s"), "{why}");
+        playback.set_speed(Speed::Unlimited);
+        assert_eq!(play(&mut playback, 0), 450);
+        assert!(playback.is_over());
     }
 
     #[test]

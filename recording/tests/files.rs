@@ -305,7 +305,7 @@ fn a_fleets_odometry_is_exact_and_before_its_scan() {
     };
     assert_eq!(odom_from_base.yaw_rad.to_bits(), yaw.to_bits());
     assert!(matches!(messages[1], (Stamp(7), SensorMessage::Scan(_))));
-    assert_eq!((recording.ends, recording.malformed, recording.clock.len()), (Stamp(9), 0, 1));
+    assert_eq!((recording.ends(), recording.malformed, recording.clock.len()), (Stamp(9), 0, 1));
 }
 
 proptest! {

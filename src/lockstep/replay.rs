@@ -27,6 +27,8 @@ pub struct RecordedRobot<P: Ports> {
     /// Index of the next message of the robot, and of the clock.
     next: usize,
     next_time: usize,
+    /// How often the robot's driver has been started again.
+    restarts: usize,
 }
 
 impl<P: Ports> RecordedRobot<P> {
@@ -50,6 +52,7 @@ impl<P: Ports> RecordedRobot<P> {
             epoch: run.epoch,
             next: 0,
             next_time: 0,
+            restarts: 0,
         })
     }
 
@@ -71,10 +74,15 @@ impl<P: Ports> ProcessLoop for RecordedRobot<P> {
         let now = self.epoch.stamp(self.clock.now());
         self.send_time(now);
         let recording = self.recording.clone();
-        let messages = recording.robots.get(self.robot.index()).map_or(&[][..], |robot| &robot.messages);
-        while let Some((_, message)) = messages.get(self.next).filter(|(at, _)| *at <= now) {
+        let of_robot = recording.robots.get(self.robot.index());
+        let messages = of_robot.map_or(&[][..], |robot| &robot.messages);
+        while let Some((at, message)) = messages.get(self.next).filter(|(at, _)| *at <= now) {
             match message {
                 SensorMessage::Odometry(odometry) => {
+                    let restarts = of_robot.map_or(0, |robot| robot.restarts_until(*at));
+                    if std::mem::replace(&mut self.restarts, restarts) != restarts {
+                        self.odometry.begin_anew();
+                    }
                     self.odometry.send(odometry);
                     if let Some(transforms) = &mut self.transforms {
                         transforms.send(&transforms_of(odometry));

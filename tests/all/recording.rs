@@ -4,8 +4,10 @@ use crate::harness::{Folder, mr_slam, output_of};
 use bridge::ros::{self, Bool, Empty, Int32, PoseWithCovarianceStamped, Text};
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
+use mr_slam::lockstep::faults::{Fault, FaultPlan};
 use mr_slam::process::record::{PLANAR_ODOMETRY, Summary, map_hash};
 use mr_slam::recording_files::RecordingFiles;
+use msg::Monotonic;
 use recording::RecordingReader;
 use recording::fleet::FleetRecording;
 use sha2::{Digest, Sha256};
@@ -23,8 +25,12 @@ fn config() -> FleetConfig {
 
 /// Runs a fleet, recorded if a file is named. Returns the hashes of all messages and of the maps.
 fn run(record: Option<&Path>) -> (String, String, Option<Summary>) {
+    run_with(record, FaultPlan::none())
+}
+
+fn run_with(record: Option<&Path>, faults: FaultPlan) -> (String, String, Option<Summary>) {
     let config = config();
-    let mut fleet = Lockstep::new(&config, true).unwrap();
+    let mut fleet = Lockstep::with_faults(&config, true, faults).unwrap();
     let mut recording = record.map(|path| {
         let files = RecordingFiles::new(path, config.recording.disk_free_bytes());
         fleet.record(files).unwrap()
@@ -76,6 +82,19 @@ fn a_recorded_run_is_the_run_and_its_replay_gives_the_same_maps() {
     assert_eq!(count("/robot1/odom"), count("/robot1/odom_2d"));
     assert!(count("/merged_map") > 3 && count("/robot2/cmd_vel") > 0 && count("/tf_static") > 0);
     assert_eq!(replay(&path), maps, "the replay gives the maps of the run");
+}
+
+#[test]
+fn the_replay_knows_that_a_robots_driver_was_started_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    // The first process is the simulator of the first robot, which has driven by then.
+    let faults = FaultPlan::none().with(Monotonic(8_000_000_000), Fault::Kill(0));
+    let (_, maps, summary) = run_with(Some(&path), faults);
+    let summary = summary.unwrap();
+    let count = |topic: &str| summary.topics.iter().find(|count| count.topic == topic).unwrap().messages;
+    assert_eq!((count("/robot1/odom_incarnation"), count("/robot2/odom_incarnation")), (2, 1));
+    assert_eq!(replay(&path), maps, "the map goes on from where the robot stood");
 }
 
 #[test]
@@ -268,6 +287,10 @@ fn what_a_replay_cannot_do_is_refused_or_said() {
     assert!(is_done && !said.contains(unknown), "{said}");
     let (is_done, said) = replay(&[midway.as_os_str()]);
     assert!(is_done && said.contains(unknown), "{said}");
+    let ended = output_of(mr_slam().args(["replay", "--json"]).arg(&midway));
+    let figures: serde_json::Value = serde_json::from_slice(&ended.stdout).unwrap();
+    let seconds = figures["seconds"].as_f64().unwrap();
+    assert!((2.5..4.0).contains(&seconds), "it has 3 s, which begin 9 s after the run: {seconds}");
     let (is_done, said) = replay(&[whole.as_os_str(), other.as_os_str()]);
     assert!(!is_done && said.contains("other.mcap is of another run"), "{said}");
     let (is_done, said) =

@@ -177,7 +177,7 @@ fn a_client_of_a_replay_pauses_it_seeks_and_receives_what_was_recorded() {
     assert!(Reader::new(&is_paused).unwrap().bool("paused").unwrap());
     assert!(client.seek(5), "a place in the recording, while it is paused");
     assert!(!client.seek(9), "behind its end");
-    replay.line("9.00 s is not in the recording, which has 0 to 8.00 s");
+    replay.line("9.00 s is not in the recording, which has 0.00 to 8.00 s");
     assert!(!client.set_rate(0.0) && client.set_rate(20.0));
     client.call("resume", "Resume", |to| to.u8(0));
     replay.line("the recording is over at 8.00 s");

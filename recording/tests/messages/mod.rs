@@ -1,5 +1,7 @@
 //! Messages and files of bags for tests.
 
+#![allow(dead_code, reason = "each file of tests uses some of them")]
+
 use msg::{Scan, Stamp};
 use recording::bag::{Bag, BagError, BagOptions, read_bag};
 use recording::{Durability, RecordingReader, RecordingWriter};

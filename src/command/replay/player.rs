@@ -9,6 +9,7 @@ use bridge::dds::DdsEndpoint;
 use recording::fleet::FleetRecording;
 use recording::playback::{Playback, SeekError, Speed};
 use sim::Simulator;
+use std::ops::Range;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
@@ -129,7 +130,8 @@ impl Player {
 
     /// Does what a key asks for; `None`: the key is unknown.
     pub fn apply_key(&mut self, key: char) -> Option<String> {
-        let (at_s, ends_s) = (self.playback.position_s(), self.playback.ends_s());
+        let (at_s, begins_s, ends_s) =
+            (self.playback.position_s(), self.playback.begins_s(), self.playback.ends_s());
         let faster = |player: &mut Self, factor: f64| {
             let Speed::Times(times) = player.playback.speed() else {
                 return "speed: as fast as possible".into();
@@ -141,7 +143,7 @@ impl Player {
             '+' => faster(self, 2.0),
             '-' => faster(self, 0.5),
             '.' => self.seek((at_s + JUMP_S).min(ends_s)).unwrap_or_else(|why| why.to_string()),
-            ',' => self.seek((at_s - JUMP_S).max(0.0)).unwrap_or_else(|why| why.to_string()),
+            ',' => self.seek((at_s - JUMP_S).max(begins_s)).unwrap_or_else(|why| why.to_string()),
             _ => return None,
         })
     }
@@ -158,9 +160,10 @@ pub enum PlayerError {
     Replay(#[from] ReplayError),
 }
 
-/// Returns the number of ticks of a recording, as a replay from files alone counts them.
-pub fn ticks(recording: &FleetRecording) -> u64 {
-    (recording.ends.0.max(0) as u64).div_ceil(Simulator::TICK.as_nanos() as u64)
+/// Returns the ticks of the run that a recording has.
+pub fn ticks(recording: &FleetRecording) -> Range<u64> {
+    let tick_ns = Simulator::TICK.as_nanos() as u64;
+    recording.begins().0 as u64 / tick_ns..(recording.ends().0 as u64).div_ceil(tick_ns)
 }
 
 /// A fleet at the beginning of its recording, and the feeds of its transports.

@@ -46,9 +46,10 @@ pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
     let begun = Instant::now();
     let (recording, missing) = read(&args.logs, config)?;
     let config = &with_known_starts(config, &recording);
-    let ends_s = recording.ends.seconds();
+    let begins_s = recording.begins().seconds();
+    let seconds = recording.ends().seconds() - begins_s;
     let figures = Figures {
-        seconds: ends_s,
+        seconds,
         malformed: recording.malformed + recording.left_out,
         missing: &missing,
         times_real_time: None,
@@ -56,16 +57,16 @@ pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
     if args.serving.serve {
         let stop = Stop::on_signals().map_err(|why| ReplayError::Replay(why.to_string()))?;
         let mut player = serve::run(args, config, recording, &stop)?;
-        let seconds = player.playback().position_s();
+        let seconds = player.playback().position_s() - begins_s;
         return finish(args, player.fleet(), &Figures { seconds, ..figures });
     }
     let ticks = player::ticks(&recording);
     let failed = |why: Box<dyn std::error::Error>| ReplayError::Replay(why.to_string());
     let mut fleet = Lockstep::replay(config, recording).map_err(failed)?;
-    for _ in 0..ticks {
+    for _ in ticks {
         fleet.tick(&mut |_, _| {});
     }
-    let times_real_time = Some(ends_s / begun.elapsed().as_secs_f64().max(1e-9));
+    let times_real_time = Some(seconds / begun.elapsed().as_secs_f64().max(1e-9));
     finish(args, &mut fleet, &Figures { times_real_time, ..figures })
 }
 
@@ -168,6 +169,7 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Miss
         let count = recording.duplicates;
         output::note(&format!("{count} messages of the robots are in several files; each is used once"));
     }
+    recording.check_pauses().map_err(|why| ReplayError::Replay(why.to_string()))?;
     if !recording.has_scans() {
         return Err(ReplayError::Replay("the recording has no scans of the fleet's robots".into()));
     }
@@ -185,6 +187,13 @@ fn note_missing(recording: &FleetRecording, names: &RobotNames) -> BTreeMap<Stri
         if scans().next().is_some() && odometry == 0 {
             output::note(&format!(
                 "{robot}: the recording has its scans and no odometry of it: it is mapped by scans alone"
+            ));
+        }
+        if let Some(at) = of_robot.unexplained_return() {
+            output::note(&format!(
+                "{robot}: its odometry is back where it began at {:.2} s, as after a restart of its driver, and the recording does not say \
+                 so: from there on its map may be wrong",
+                at.seconds()
             ));
         }
         if let Some(gaps) = ScanGaps::find(scans().map(|(at, _)| *at)) {

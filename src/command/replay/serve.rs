@@ -96,7 +96,8 @@ pub fn run(
         let mut player = Player::new(recorded.clone(), recording, transports, args.serving.speed)?;
         let services = PlayerServices::open(&bridge, now())
             .map_err(|why| ReplayError::Replay(format!("the services of the replay: {why}")))?;
-        note(&format!("replay of {} s; clients connect to port {port}", player.playback().ends_s()));
+        let (begins_s, ends_s) = (player.playback().begins_s(), player.playback().ends_s());
+        note(&format!("replay of {begins_s:.2} to {ends_s:.2} s of the run; clients connect to port {port}"));
         if let Some(url) = url(&config) {
             note(&format!("page: {url}"));
             let config = config.bridge.page.clone();

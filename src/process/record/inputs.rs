@@ -160,10 +160,7 @@ impl<P: Ports> RobotInputs<P> {
     fn receive(&mut self, to: &mut RecordingWork, now: Monotonic) {
         let robot = self.robot;
         each(&mut self.commands, to, move |to, command| to.record_command(robot, command));
-        each(&mut self.odometry, to, move |to, odometry| {
-            to.publish(FleetMessage::Odometry(robot, odometry), sent(odometry));
-            to.record_planar_odometry(robot, odometry);
-        });
+        each(&mut self.odometry, to, move |to, odometry| to.record_odometry(robot, odometry));
         each(&mut self.transforms, to, move |to, all| {
             to.publish(FleetMessage::Transforms(robot, all), sent(all));
         });

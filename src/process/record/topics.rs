@@ -11,6 +11,7 @@ use ::bridge::{
     Delivery, FleetMessage, FleetPublisher, FleetTopic, OUTGOING_TOPICS, RobotTransformPolicy, TopicSink,
 };
 use ::recording::bag::GROUND_TRUTH;
+use ::recording::fleet::ODOMETRY_INCARNATION;
 use ::recording::{Durability, RecordingWriter, TopicIndex, WriteError};
 use msg::{CommandSource, GroundTruth, Monotonic, Odometry, RobotFrame, RobotId, Stamp};
 use reports::{BridgeState, TlxEntry};
@@ -54,6 +55,8 @@ enum OwnTopic {
     Workload,
     /// Who sends a robot's velocities, on change.
     CommandSender,
+    /// Incarnation of the driver whose odometry is recorded, on change: a new one counts from another origin.
+    OdometryIncarnation,
     /// Requests to a robot's SLAM, as JSON.
     SlamRequest,
     /// Commands about merge edges, as JSON.
@@ -78,8 +81,17 @@ pub struct Recorder {
     names: FrameNames,
     epoch: Epoch,
     file: FileTopics,
-    /// Who sent each robot's newest velocity.
-    command_senders: Vec<Option<CommandSource>>,
+    /// Who sent each robot's newest messages.
+    senders: Vec<Senders>,
+}
+
+/// Who sent the newest messages of a robot.
+#[derive(Clone, Copy, Default)]
+struct Senders {
+    /// Sender of the velocity; `None` before the first.
+    velocity: Option<CommandSource>,
+    /// Incarnation of the driver that sent the odometry.
+    odometry: Option<u64>,
 }
 
 /// The topics, and the file that is being written.
@@ -88,7 +100,7 @@ struct FileTopics {
     /// Indices by row of [`OUTGOING_TOPICS`], then by robot; empty if the topic is not recorded.
     by_fleet_topic: [Vec<TopicIndex>; OUTGOING_TOPICS.len()],
     /// Indices by [`OwnTopic`], then by robot.
-    own: [Vec<TopicIndex>; 11],
+    own: [Vec<TopicIndex>; 12],
     description: BTreeMap<String, String>,
     /// The file; `None` once the recording has ended.
     writer: Option<RecordingWriter>,
@@ -118,8 +130,8 @@ impl Recorder {
         let mut file = FileTopics::new(&robots, description, files, run.config.recording.split_bytes());
         file.begin()?;
         let names = FrameNames::new(config.frame_names, &robots);
-        let command_senders = vec![None; robots.robots().count()];
-        Ok(Self { publisher: Some(publisher), names, epoch: run.epoch, file, command_senders })
+        let senders = vec![Senders::default(); robots.count()];
+        Ok(Self { publisher: Some(publisher), names, epoch: run.epoch, file, senders })
     }
 
     /// Records a message of the fleet that was sent at this moment.
@@ -130,9 +142,19 @@ impl Recorder {
         }
     }
 
-    /// Records a robot's odometry as the fleet has it.
-    pub fn record_planar_odometry(&mut self, robot: RobotId, odometry: &Odometry) {
+    /// Records a robot's odometry, also as the fleet has it, and before it the driver's incarnation, if that has changed.
+    pub fn record_odometry(&mut self, robot: RobotId, odometry: &Odometry) {
         self.file.at = self.epoch.stamp(odometry.header.sent);
+        let incarnation = odometry.header.incarnation;
+        if let Some(newest) = self.senders.get_mut(robot.index())
+            && newest.odometry != Some(incarnation)
+        {
+            let text = incarnation.to_string();
+            if self.file.record(OwnTopic::OdometryIncarnation, robot.index(), |to| to.string(&text)) {
+                newest.odometry = Some(incarnation);
+            }
+        }
+        self.publish(FleetMessage::Odometry(robot, odometry), odometry.header.sent);
         let pose = odometry.odom_from_base;
         let pose = Pose2D { x: pose.x_m, y: pose.y_m, theta: pose.yaw_rad };
         self.file.record(OwnTopic::PlanarOdometry, robot.index(), |to| pose.write(to));
@@ -218,6 +240,7 @@ impl FileTopics {
         };
         let navigation_commands = of_robots(NAVIGATION_COMMAND, Text::TYPE, Durability::Volatile);
         let command_senders = of_robots("cmd_vel_sender", Text::TYPE, Durability::Latched);
+        let incarnations = of_robots(ODOMETRY_INCARNATION, Text::TYPE, Durability::Latched);
         let slam_requests = of_robots("slam_request", Text::TYPE, Durability::Volatile);
         let own = [
             of_robots("cmd_vel", Twist::TYPE, Durability::Volatile),
@@ -228,6 +251,7 @@ impl FileTopics {
             navigation_commands,
             vec![add("/nasa_tlx".into(), Text::TYPE, Durability::Latched)],
             command_senders,
+            incarnations,
             slam_requests,
             vec![add("/merge_edge_command".into(), Text::TYPE, Durability::Volatile)],
             vec![add("/operator_event".into(), Text::TYPE, Durability::Volatile)],

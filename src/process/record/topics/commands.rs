@@ -11,12 +11,12 @@ impl Recorder {
     /// Records the velocity that a robot is to drive, and before it who sent it, if that has changed.
     pub fn record_command(&mut self, robot: RobotId, command: &VelocityCommand) {
         self.file.at = self.epoch.stamp(command.header.sent);
-        if let Some(newest) = self.command_senders.get_mut(robot.index())
-            && *newest != Some(command.sender)
+        if let Some(newest) = self.senders.get_mut(robot.index())
+            && newest.velocity != Some(command.sender)
         {
             let sender = command.sender.to_string();
             if self.file.record(OwnTopic::CommandSender, robot.index(), |to| to.string(&sender)) {
-                *newest = Some(command.sender);
+                newest.velocity = Some(command.sender);
             }
         }
         let velocity = [command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s];
