@@ -4,17 +4,40 @@ use crate::regular;
 use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
 
-/// Writes a file that every user may read. A reader never sees half of it; a power cut may lose it. Of a link the file is written
-/// to which it leads; a device or pipe is an error.
+/// A file that is written whole, under a temporary name. It is removed if it does not replace another.
+pub struct Prepared {
+    path: PathBuf,
+    temporary: NamedTempFile,
+}
+
+impl Prepared {
+    /// Writes a file that every user may read under a temporary name beside its path. Of a link the file is written to which it leads;
+    /// a device or pipe is an error.
+    pub fn write(
+        path: &Path,
+        fill: impl FnOnce(&mut io::BufWriter<&File>) -> io::Result<()>,
+    ) -> io::Result<Self> {
+        let path = target(path)?.into_owned();
+        let mut temporary = readable_by_all().tempfile_in(folder(&path))?;
+        let mut buffered = io::BufWriter::new(&*temporary.as_file_mut());
+        fill(&mut buffered).and_then(|()| buffered.flush())?;
+        drop(buffered);
+        Ok(Self { path, temporary })
+    }
+
+    /// Gives the file its name, and replaces one that has it.
+    pub fn replace(self) -> io::Result<()> {
+        self.temporary.persist(self.path).map(drop).map_err(|error| error.error)
+    }
+}
+
+/// Writes a file that every user may read. A reader never sees half of it; a power cut may lose it. Links and devices as in
+/// [`Prepared::write`].
 pub fn write(path: &Path, fill: impl FnOnce(&mut io::BufWriter<&File>) -> io::Result<()>) -> io::Result<()> {
-    let path = &*target(path)?;
-    let mut temporary = readable_by_all().tempfile_in(folder(path))?;
-    let mut buffered = io::BufWriter::new(&*temporary.as_file_mut());
-    fill(&mut buffered).and_then(|()| buffered.flush())?;
-    drop(buffered);
-    temporary.persist(path).map(drop).map_err(|error| error.error)
+    Prepared::write(path, fill)?.replace()
 }
 
 /// Writes a file of this user's and waits until the disk has it: after a crash, the file is the old one or the new one. Links and
@@ -22,7 +45,7 @@ pub fn write(path: &Path, fill: impl FnOnce(&mut io::BufWriter<&File>) -> io::Re
 pub fn write_durably(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let path = &*target(path)?;
     let folder = folder(path);
-    let mut temporary = tempfile::NamedTempFile::new_in(folder)?;
+    let mut temporary = NamedTempFile::new_in(folder)?;
     fill(temporary.as_file_mut()).and_then(|()| temporary.as_file().sync_all())?;
     temporary.persist(path).map_err(|error| error.error)?;
     // The rename itself is in the folder.

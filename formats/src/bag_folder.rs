@@ -1,10 +1,14 @@
 //! Files of a bag: a file, or the folder of a rosbag2 bag, and what is no bag that is read.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 /// Largest metadata.yaml of a rosbag2 folder, bytes.
 const METADATA_BYTES_MAX: u64 = 4 << 20;
+/// Bytes that tell a format, which is the longest of those that are known.
+const FIRST_BYTES: u64 = 16;
 /// Most files of a bag.
 const FILES_MAX: usize = 10_000;
 
@@ -84,6 +88,18 @@ fn unquoted(text: &str) -> &str {
     text.trim().trim_matches(['"', '\''])
 }
 
+/// Refuses a file that is no CARMEN log by its first bytes, however long it is. One that cannot be opened, or is a pipe, is for its reader.
+pub fn refuse_file_of_other_formats(path: &Path) -> Result<(), BagFilesError> {
+    let mut first = Vec::new();
+    if path.is_file()
+        && let Ok(file) = File::open(path)
+        && file.take(FIRST_BYTES).read_to_end(&mut first).is_ok()
+    {
+        refuse_other_formats(path, &first)?;
+    }
+    Ok(())
+}
+
 /// Refuses what is no CARMEN log, by its first bytes.
 pub fn refuse_other_formats(path: &Path, bytes: &[u8]) -> Result<(), BagFilesError> {
     let formats: [(&[u8], &str); 4] = [
@@ -157,5 +173,19 @@ mod tests {
             assert!(text.contains(word), "{text}");
         }
         assert!(refuse_other_formats(Path::new("x"), b"FLASER 3 1 2 3").is_ok());
+    }
+
+    #[test]
+    fn a_bag_of_any_length_is_told_by_its_first_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bag.db3");
+        std::fs::write(&path, b"SQLite format 3\0").unwrap();
+        // Longer than any log that is read, without its blocks.
+        std::fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(5 << 30).unwrap();
+        let why = refuse_file_of_other_formats(&path).unwrap_err().to_string();
+        assert!(why.contains("sqlite3"), "{why}");
+        std::fs::write(&path, b"FLASER").unwrap();
+        assert!(refuse_file_of_other_formats(&path).is_ok());
+        assert!(refuse_file_of_other_formats(folder.path()).is_ok());
     }
 }

@@ -9,7 +9,8 @@ mod picture;
 
 pub use picture::{Picture, Rgb, encode_grey_png};
 
-use crate::{atomic, regular};
+use crate::atomic::Prepared;
+use crate::regular;
 use image::{Pixels, decode_image, read_image};
 use msg::grid::{self, LOG_ODDS_MAX, LOG_ODDS_PER_STEP, MAP_CELLS_MAX, Occupancy, UNKNOWN, occupancy};
 use msg::{Grid, GridHeader, GridView, Pose2};
@@ -76,7 +77,8 @@ impl MapFileError {
 
 /// Writes `STEM.pgm` and `STEM.yaml` for map_server, and the same picture as `STEM.png`.
 ///
-/// Each file appears whole or not at all. The YAML is written last, so that it never names a missing image.
+/// The files are written under temporary names and renamed when all of them are on the disk: where one cannot be written, the map of
+/// before stays. The YAML is renamed last, so that it never names a missing image.
 pub fn write_map(stem: &Path, grid: GridView<'_>) -> Result<(), MapFileError> {
     write_map_with_reasons(stem, grid, &[])
 }
@@ -104,12 +106,18 @@ pub fn write_map_with_reasons(stem: &Path, grid: GridView<'_>, reasons: &[&str])
         ));
     }
     let greys = greys_top_down(grid);
-    write_whole(&pgm, |file| {
-        write!(file, "P5\n{width} {height}\n255\n")?;
-        file.write_all(&greys)
-    })?;
-    write_whole(&png, |file| picture::encode_with_reasons(file, width, height, &greys, reasons))?;
-    write_whole(&yaml, |file| file.write_all(describe(name, grid.header, reasons).as_bytes()))
+    let files = [
+        prepare(&pgm, |file| {
+            write!(file, "P5\n{width} {height}\n255\n")?;
+            file.write_all(&greys)
+        })?,
+        prepare(&png, |file| picture::encode_with_reasons(file, width, height, &greys, reasons))?,
+        prepare(&yaml, |file| file.write_all(describe(name, grid.header, reasons).as_bytes()))?,
+    ];
+    for (file, path) in files.into_iter().zip([&pgm, &png, &yaml]) {
+        file.replace().map_err(MapFileError::io(path))?;
+    }
+    Ok(())
 }
 
 /// Returns the path of a map without its extension, however a person gave it: with that of one of its files, or with none. Other
@@ -347,12 +355,12 @@ fn with_extension(stem: &Path, extension: &str) -> PathBuf {
     path.into()
 }
 
-/// Writes a file whole or not at all.
-fn write_whole(
+/// Writes a file under a temporary name.
+fn prepare(
     path: &Path,
     fill: impl FnOnce(&mut std::io::BufWriter<&File>) -> std::io::Result<()>,
-) -> Result<(), MapFileError> {
-    atomic::write(path, fill).map_err(MapFileError::io(path))
+) -> Result<Prepared, MapFileError> {
+    Prepared::write(path, fill).map_err(MapFileError::io(path))
 }
 
 const _: () = assert!(

@@ -1,6 +1,7 @@
 //! Map pictures with coloured paths and robots over an occupancy grid.
 
-use super::{MapFileError, Path, greys_top_down, write_whole};
+use super::{MapFileError, Path, greys_top_down};
+use crate::atomic;
 use msg::{GridView, Pose2};
 use std::io::Write;
 
@@ -66,7 +67,8 @@ impl<'a> Picture<'a> {
     /// Writes a PNG file, whole or not at all.
     pub fn write_png(&self, path: &Path) -> Result<(), MapFileError> {
         let (width, height) = (self.grid.header.width, self.grid.header.height);
-        write_whole(path, |file| encode(file, width, height, png::ColorType::Rgb, &self.pixels))
+        atomic::write(path, |file| encode(file, width, height, png::ColorType::Rgb, &self.pixels))
+            .map_err(MapFileError::io(path))
     }
 
     fn line(&mut self, from_m: [f64; 2], to_m: [f64; 2], colour: Rgb) {

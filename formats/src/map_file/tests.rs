@@ -45,6 +45,35 @@ fn what_nobody_has_seen_is_unknown_whatever_map_savers_free_threshold_is() {
 }
 
 #[test]
+fn a_map_of_which_one_file_cannot_be_written_leaves_the_one_before_whole() {
+    let header = |x_m| GridHeader {
+        width: 2,
+        height: 1,
+        resolution_m: 0.05,
+        origin: Pose2::new(x_m, 0.0, 0.0),
+        ..GridHeader::default()
+    };
+    for refused in ["pgm", "png", "yaml"] {
+        let folder = folder();
+        let stem = folder.path().join("m");
+        let write = |x_m, cells: &[i8]| write_map(&stem, GridView { header: &header(x_m), cells });
+        write(1.0, &[LOADED_LOG_ODDS, -LOADED_LOG_ODDS]).unwrap();
+        // A folder cannot be replaced by a file, as if the disk refused it.
+        let path = stem.with_extension(refused);
+        fs::remove_file(&path).unwrap();
+        fs::create_dir(&path).unwrap();
+        let read = || -> Vec<_> {
+            let files = written_files(&stem).into_iter().filter(|file| *file != path);
+            files.map(|file| fs::read(file).unwrap()).collect()
+        };
+        let before = read();
+        assert!(write(2.0, &[-LOADED_LOG_ODDS, LOADED_LOG_ODDS]).is_err());
+        assert_eq!(read(), before, "{refused} cannot be written");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3, "no temporary file stays");
+    }
+}
+
+#[test]
 fn modes_and_negation() {
     let image = b"P5 4 1 255\n\x00\x32\x7f\xfe";
     let cells = |yaml: &str| read(yaml, image).unwrap().cells;

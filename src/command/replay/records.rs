@@ -2,7 +2,7 @@
 
 use super::{ReplayArgs, ReplayError, log_files, recorded_fleet};
 use crate::command::output;
-use formats::bag_folder::refuse_other_formats;
+use formats::bag_folder::{refuse_file_of_other_formats, refuse_other_formats};
 use formats::carmen::{LaserLine, Reader, Record};
 use formats::gzip;
 use msg::{Pose2, Scan, Stamp};
@@ -107,8 +107,9 @@ impl Log {
         let path = &paths[0];
         if !is_recording(path) {
             let fail = |source| ReplayError::Read { path: path.clone(), source };
+            // Before the whole is read: bags are often longer than any log.
+            refuse_file_of_other_formats(path)?;
             let bytes = formats::limited::read(path, LOG_MAX).map_err(fail)?;
-            refuse_other_formats(path, &bytes)?;
             let unpacked = gzip::unpack(bytes, LOG_MAX).map_err(fail)?;
             refuse_other_formats(path, &unpacked)?;
             return Ok(Self::Carmen(unpacked));
