@@ -1,12 +1,14 @@
 //! Files of a bag: a file, or the folder of a rosbag2 bag, and what is no bag that is read.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 /// Largest metadata.yaml of a rosbag2 folder, bytes.
 const METADATA_BYTES_MAX: u64 = 4 << 20;
+/// First and last bytes of an MCAP file.
+const MCAP_MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// Bytes that tell a format, which is the longest of those that are known.
 const FIRST_BYTES: u64 = 16;
 /// Most files of a bag.
@@ -84,6 +86,16 @@ pub fn unlisted(folder: &Path, listed: &[PathBuf]) -> Vec<String> {
     names
 }
 
+/// Returns whether a file ends as an MCAP file with its index does, and not in the middle, where a recorder was killed.
+pub fn is_whole_mcap(path: &Path) -> bool {
+    let mut last = [0; MCAP_MAGIC.len()];
+    let read = File::open(path).and_then(|mut file| {
+        file.seek(SeekFrom::End(-(last.len() as i64)))?;
+        file.read_exact(&mut last)
+    });
+    read.is_ok() && last == *MCAP_MAGIC
+}
+
 fn unquoted(text: &str) -> &str {
     text.trim().trim_matches(['"', '\''])
 }
@@ -106,10 +118,7 @@ pub fn refuse_other_formats(path: &Path, bytes: &[u8]) -> Result<(), BagFilesErr
         (b"SQLite format 3\0", "a rosbag2 bag with the storage `sqlite3`"),
         (b"\x28\xb5\x2f\xfd", "a file that is compressed with zstd (unpack it with `zstd -d`)"),
         (b"#ROSBAG V2.0", "a bag of ROS 1"),
-        (
-            b"\x89MCAP0\r\n",
-            "an MCAP file whose name does not end in .mcap (unpack it if need be, and rename it)",
-        ),
+        (MCAP_MAGIC, "an MCAP file whose name does not end in .mcap (unpack it if need be, and rename it)"),
     ];
     match formats.iter().find(|(magic, _)| bytes.starts_with(magic)) {
         Some((_, what)) => Err(BagFilesError::Format { path: path.to_owned(), what: (*what).to_owned() }),
@@ -173,6 +182,18 @@ mod tests {
             assert!(text.contains(word), "{text}");
         }
         assert!(refuse_other_formats(Path::new("x"), b"FLASER 3 1 2 3").is_ok());
+    }
+
+    #[test]
+    fn an_mcap_file_is_whole_if_it_ends_as_it_begins() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let is_whole = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            is_whole_mcap(&path)
+        };
+        assert!(is_whole(b"\x89MCAP0\r\n...\x89MCAP0\r\n"));
+        assert!(!is_whole(b"\x89MCAP0\r\n...") && !is_whole(b"") && !is_whole_mcap(folder.path()));
     }
 
     #[test]

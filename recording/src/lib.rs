@@ -25,6 +25,7 @@
 //! ```
 
 pub mod bag;
+mod counts;
 pub mod fleet;
 pub mod playback;
 mod pose_at;
@@ -33,9 +34,10 @@ pub mod rosbag2;
 mod scan_gaps;
 mod writer;
 
+pub use counts::{Durability, PartCounts, TopicCount, TopicIndex};
 pub use reader::{ReadError, RecordedMessage, RecordingReader};
 pub use scan_gaps::ScanGaps;
-pub use writer::{Durability, RecordingWriter, TopicCount, TopicIndex, WriteError};
+pub use writer::{Part, RecordingWriter, WriteError};
 
 /// Name of the metadata record that says what a recording is of.
 pub const METADATA: &str = "mr_slam";

@@ -3,9 +3,11 @@
 //! The description has version 5, in which policies are numbers. Readers of ROS 2 Humble know it, and those of Jazzy convert it. Without a
 //! version Jazzy takes the numbers for names, and its player does not offer any latched topic.
 
-use crate::writer::{Durability, TopicCount};
+use crate::counts::{Durability, PartCounts, TopicCount, union};
+use crate::{ReadError, RecordingReader};
 use msg::Stamp;
 use std::fmt::Write as _;
+use std::io::Read;
 
 /// Name of rosbag2's metadata record in a file.
 pub const METADATA: &str = "rosbag2";
@@ -42,11 +44,10 @@ pub struct BagFile {
 }
 
 impl BagFile {
-    /// Counts a message of this time.
-    pub fn add(&mut self, at: Stamp) {
-        let (first, last) = self.times.unwrap_or((at, at));
-        self.times = Some((first.min(at), last.max(at)));
-        self.messages += 1;
+    /// Adds messages that were appended to the file.
+    pub fn add(&mut self, counts: &PartCounts) {
+        self.times = union(self.times, counts.times);
+        self.messages += counts.messages;
     }
 }
 
@@ -61,10 +62,43 @@ pub struct BagTopic {
     pub count: TopicCount,
 }
 
-/// Returns the description of a bag: `metadata.yaml` of its folder, and without files the entry of each file's metadata record.
-pub fn description(files: &[BagFile], topics: &[BagTopic]) -> String {
-    let all = files.iter().filter_map(|file| file.times);
-    let times = all.reduce(|(first, last), (next, end)| (first.min(next), last.max(end)));
+/// Files and topics of a recording as rosbag2 counts them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Bag {
+    /// Files, in the order of their messages.
+    pub files: Vec<BagFile>,
+    /// Topics with the number of their messages in all files.
+    pub topics: Vec<BagTopic>,
+}
+
+impl Bag {
+    /// Reads a file of a recorder that was killed, as one more after those of this bag. Its messages of other topics count for the file
+    /// alone.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn read<R: Read>(&mut self, name: &str, file: R) -> Result<(), ReadError> {
+        let mut found = BagFile { name: name.to_owned(), ..BagFile::default() };
+        let mut reader = RecordingReader::new(file);
+        while let Some(message) = reader.next_message()? {
+            found.times = union(found.times, Some((message.at, message.at)));
+            found.messages += 1;
+            if let Some(topic) = self.topics.iter_mut().find(|topic| topic.count.topic == *message.topic) {
+                topic.count.messages += 1;
+            }
+        }
+        self.files.push(found);
+        Ok(())
+    }
+
+    /// Returns the description of the bag: `metadata.yaml` of its folder, and without files the entry of each file's metadata record.
+    pub fn description(&self) -> String {
+        describe(&self.files, &self.topics)
+    }
+}
+
+fn describe(files: &[BagFile], topics: &[BagTopic]) -> String {
+    let times = files.iter().fold(None, |times, file| union(times, file.times));
     let messages: u64 = files.iter().map(|file| file.messages).sum();
     let mut yaml = String::from("rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n");
     add_times(&mut yaml, "  ", times, messages);

@@ -1,6 +1,7 @@
 //! Makes the bytes of a recording: an MCAP file with ROS 2 messages in CDR.
 
-use crate::rosbag2::{self, interface_name, offered_qos_profiles};
+use crate::counts::{Durability, PartCounts, TopicCount, TopicIndex};
+use crate::rosbag2::{self, Bag, interface_name, offered_qos_profiles};
 use crate::{COUNTS, METADATA};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
@@ -28,29 +29,6 @@ pub enum WriteError {
     /// The container cannot hold it.
     #[error("cannot write MCAP: {0}")]
     Container(#[from] McapError),
-}
-
-/// Whether a topic's newest message matters to late subscribers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Durability {
-    /// Present subscribers only.
-    Volatile,
-    /// The newest message is for late subscribers too (latched, transient local).
-    Latched,
-}
-
-/// Index of a topic in a writer, by the order in which topics were added.
-pub type TopicIndex = usize;
-
-/// Number of a topic's messages in a file.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct TopicCount {
-    /// Name of the topic.
-    pub topic: String,
-    /// Number of messages.
-    pub messages: u64,
-    /// Bytes of the messages, each with its encapsulation header.
-    pub bytes: u64,
 }
 
 /// Bytes that the container has written and nobody has taken.
@@ -81,11 +59,24 @@ struct Topic {
     count: TopicCount,
 }
 
+/// Bytes that are to be appended to the file, with the messages that can be read when they are there.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Part {
+    /// Bytes of whole chunks.
+    pub bytes: Vec<u8>,
+    /// Messages of these chunks.
+    pub counts: PartCounts,
+}
+
 /// Writer of one file.
 pub struct RecordingWriter {
     container: mcap::Writer<NoSeek<Buffer>>,
     buffer: Buffer,
     topics: Vec<Topic>,
+    /// Messages of the chunk that is not in the buffer yet.
+    of_chunk: PartCounts,
+    /// Messages of the chunks in the buffer.
+    of_buffer: PartCounts,
 }
 
 impl RecordingWriter {
@@ -107,9 +98,15 @@ impl RecordingWriter {
         let mut container = mcap::Writer::with_options(NoSeek::new(buffer.clone()), options)?;
         container.write_metadata(&Metadata { name: METADATA.into(), metadata: description.clone() })?;
         let of_rosbag2 =
-            BTreeMap::from([(rosbag2::SERIALIZED_METADATA.into(), rosbag2::description(&[], &[]))]);
+            BTreeMap::from([(rosbag2::SERIALIZED_METADATA.into(), Bag::default().description())]);
         container.write_metadata(&Metadata { name: rosbag2::METADATA.into(), metadata: of_rosbag2 })?;
-        Ok(Self { container, buffer, topics: Vec::new() })
+        Ok(Self {
+            container,
+            buffer,
+            topics: Vec::new(),
+            of_chunk: PartCounts::default(),
+            of_buffer: PartCounts::default(),
+        })
     }
 
     /// Adds a topic of a type `package/Type`.
@@ -141,7 +138,9 @@ impl RecordingWriter {
     /// The container refuses it. A topic that was not added is ignored.
     pub fn write(&mut self, topic: TopicIndex, at: Stamp, payload: &[u8]) -> Result<(), WriteError> {
         let Some(Topic { channel, count }) = self.topics.get_mut(topic) else { return Ok(()) };
-        let at = at.0.max(0) as u64;
+        let stamp = Stamp(at.0.max(0));
+        let at = stamp.0 as u64;
+        let buffered = self.buffer.bytes().len();
         let header = MessageHeader {
             channel_id: *channel,
             sequence: count.messages as u32,
@@ -151,6 +150,11 @@ impl RecordingWriter {
         self.container.write_to_known_channel(&header, payload)?;
         count.messages += 1;
         count.bytes += payload.len() as u64;
+        // A chunk that is full ends before the message that comes next.
+        if self.buffer.bytes().len() > buffered {
+            self.of_buffer.append(&std::mem::take(&mut self.of_chunk));
+        }
+        self.of_chunk.add(topic, stamp, payload.len());
         Ok(())
     }
 
@@ -159,12 +163,20 @@ impl RecordingWriter {
     /// # Errors
     /// The chunk cannot be compressed.
     pub fn flush(&mut self) -> Result<(), WriteError> {
-        Ok(self.container.flush()?)
+        self.container.flush()?;
+        self.of_buffer.append(&std::mem::take(&mut self.of_chunk));
+        Ok(())
     }
 
-    /// Returns the bytes that are to be appended to the file.
-    pub fn take_bytes(&mut self) -> Vec<u8> {
-        std::mem::take(&mut *self.buffer.bytes())
+    /// Returns what is to be appended to the file.
+    pub fn take_part(&mut self) -> Part {
+        let bytes = std::mem::take(&mut *self.buffer.bytes());
+        Part { bytes, counts: std::mem::take(&mut self.of_buffer) }
+    }
+
+    /// Returns the number of messages that no part that was taken has.
+    pub fn waiting_messages(&self) -> u64 {
+        self.of_buffer.messages + self.of_chunk.messages
     }
 
     /// Returns the number of messages of each topic.
@@ -180,6 +192,6 @@ impl RecordingWriter {
         let counts = self.counts().map(|count| (count.topic.clone(), count.messages.to_string())).collect();
         self.container.write_metadata(&Metadata { name: COUNTS.into(), metadata: counts })?;
         self.container.finish()?;
-        Ok(self.take_bytes())
+        Ok(self.take_part().bytes)
     }
 }

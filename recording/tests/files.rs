@@ -70,7 +70,7 @@ fn after_a_kill_all_flushed_messages_can_be_read() {
             writer.write(topic, Stamp(at), &payload(&scan(at))).unwrap();
         }
         writer.flush().unwrap();
-        bytes.extend(writer.take_bytes());
+        bytes.extend(writer.take_part().bytes);
     }
     let (count, damage) = read_all(&bytes);
     assert_eq!(count, 30, "there is no index and no end");
@@ -90,7 +90,7 @@ fn a_damaged_chunk_is_left_out_and_those_before_and_behind_it_are_used() {
             writer.write(topic, Stamp(at), &payload(&scan(at))).unwrap();
         }
         writer.flush().unwrap();
-        chunks.push(writer.take_bytes());
+        chunks.push(writer.take_part().bytes);
     }
     let end = writer.finish().unwrap();
     let whole = [&chunks.concat()[..], &end].concat();

@@ -1,8 +1,9 @@
 //! What rosbag2 reads of a recording beside its messages.
 
 use msg::Stamp;
-use recording::rosbag2::{self, BagFile, BagTopic};
-use recording::{Durability, RecordingReader, RecordingWriter, TopicCount};
+use proptest::prelude::*;
+use recording::rosbag2::{self, Bag, BagFile, BagTopic};
+use recording::{Durability, PartCounts, RecordingReader, RecordingWriter, TopicCount};
 use std::collections::BTreeMap;
 
 /// Values of the keys in a description, without their indentation.
@@ -48,15 +49,15 @@ fn the_description_of_a_bag_has_the_sums_of_its_files_and_names_in_quotes() {
         BagFile { name: "a_1.mcap".into(), ..BagFile::default() },
         BagFile { name: "empty.mcap".into(), ..BagFile::default() },
     ];
-    [30, 20, 40].into_iter().for_each(|at| files[0].add(Stamp(at)));
-    [70, 50].into_iter().for_each(|at| files[1].add(Stamp(at)));
+    files[0] = BagFile { times: Some((Stamp(20), Stamp(40))), messages: 3, ..files[0].clone() };
+    files[1] = BagFile { times: Some((Stamp(50), Stamp(70))), messages: 2, ..files[1].clone() };
     let topic = |name: &str, durability, messages| BagTopic {
         message_type: "std_msgs/String".into(),
         durability,
         count: TopicCount { topic: name.into(), messages, bytes: 0 },
     };
     let topics = [topic("/a", Durability::Volatile, 3), topic("/b", Durability::Latched, 2)];
-    let yaml = rosbag2::description(&files, &topics);
+    let yaml = Bag { files: files.to_vec(), topics: topics.to_vec() }.description();
     assert_eq!(values(&yaml, "message_count"), ["5", "3", "2", "3", "2", "0"]);
     assert_eq!(values(&yaml, "nanoseconds"), ["50", "20", "20", "0"]);
     assert_eq!(values(&yaml, "nanoseconds_since_epoch"), ["20", "20", "50", "0"]);
@@ -64,4 +65,62 @@ fn the_description_of_a_bag_has_the_sums_of_its_files_and_names_in_quotes() {
     assert_eq!(values(&yaml, "type"), [r#""std_msgs/msg/String""#; 2]);
     let qos = values(&yaml, "offered_qos_profiles");
     assert!(qos[0] == "\"\"" && qos[1].contains(r"durability: 1\n") && !qos[1].contains('\n'), "{qos:?}");
+}
+
+/// A message of text with so many bytes.
+fn text(bytes: usize) -> Vec<u8> {
+    let mut payload = vec![0, 1, 0, 0];
+    payload.extend((bytes as u32 + 1).to_le_bytes());
+    // No text that compresses well: chunks are as long as their messages.
+    payload.extend((0..bytes).map(|index| 33 + (index * index % 89) as u8));
+    payload.push(0);
+    payload
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    #[test]
+    fn the_messages_of_the_parts_that_were_taken_are_those_that_can_be_read(
+        sizes in proptest::collection::vec(0_usize..600_000, 1..20),
+        flush_every in 1_usize..8,
+        parts_that_fit in 0_usize..20,
+    ) {
+        let mut writer = RecordingWriter::new(&BTreeMap::new()).unwrap();
+        let topics = ["/a", "/b"].map(|name| writer.add_topic(name, "std_msgs/String", Durability::Volatile).unwrap());
+        let (mut file, mut counts, mut taken) = (Vec::new(), PartCounts::default(), 0);
+        let mut append = |writer: &mut RecordingWriter| {
+            let part = writer.take_part();
+            if part.bytes.is_empty() {
+                assert_eq!(part.counts, PartCounts::default());
+            } else if taken < parts_that_fit {
+                file.extend(part.bytes);
+                counts.append(&part.counts);
+                taken += 1;
+            } else {
+                taken = usize::MAX;
+            }
+        };
+        for (index, bytes) in sizes.iter().enumerate() {
+            writer.write(topics[index % 2], Stamp(index as i64 * 10), &text(*bytes)).unwrap();
+            if index % flush_every == 0 {
+                writer.flush().unwrap();
+            }
+            append(&mut writer);
+        }
+        let topic = |name: &str| BagTopic {
+            message_type: "std_msgs/String".into(),
+            durability: Durability::Volatile,
+            count: TopicCount { topic: name.into(), ..TopicCount::default() },
+        };
+        let mut bag = Bag { files: Vec::new(), topics: vec![topic("/a"), topic("/b")] };
+        // Before the first part the file is empty, which is no MCAP.
+        if !file.is_empty() {
+            bag.read("file", &file[..]).unwrap();
+            prop_assert_eq!((bag.files[0].messages, bag.files[0].times), (counts.messages, counts.times));
+        }
+        for (topic, index) in bag.topics.iter().zip(topics) {
+            prop_assert_eq!(topic.count.messages, counts.of_topic(index).0);
+        }
+    }
 }

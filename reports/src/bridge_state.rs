@@ -28,6 +28,22 @@ pub struct BridgeState {
 }
 
 impl BridgeState {
+    /// Returns who drives, waits and may drive, the selected robot and the emergency stop: not the counters, which change all the time.
+    pub fn operator_json(&self) -> serde_json::Value {
+        let driving = self.clients.iter().flat_map(|client| {
+            let drives = client.drives.iter();
+            drives.map(|robot| serde_json::json!({ "robot": robot, "address": client.address }))
+        });
+        serde_json::json!({
+            "selected_robot": self.selected,
+            "emergency_stop": self.stopped,
+            "drivers": driving.collect::<Vec<_>>(),
+            "clients": self.clients.iter().map(|client| client.address).collect::<Vec<_>>(),
+            "allowed": self.allowed,
+            "waiting": self.waiting,
+        })
+    }
+
     /// Formats the clients as a table; a line of text without any.
     pub fn client_table(&self) -> String {
         if self.clients.is_empty() {

@@ -18,8 +18,6 @@ pub struct Written {
     pub files: Vec<PathBuf>,
     /// Files of the same name that were there before, as after a recorder was killed.
     pub earlier: Vec<PathBuf>,
-    /// Why something could not be written.
-    pub failure: Option<String>,
 }
 
 /// Numbers of messages, which other threads read while it records.
@@ -36,9 +34,9 @@ impl RecordingCounts {
         self.messages.load(Ordering::Relaxed)
     }
 
-    /// Counts a message that was recorded.
-    pub fn add_message(&self) {
-        self.messages.fetch_add(1, Ordering::Relaxed);
+    /// Counts messages that are in a file.
+    pub fn add_messages(&self, count: u64) {
+        self.messages.fetch_add(count, Ordering::Relaxed);
     }
 
     /// Returns the number of messages that were dropped, because too much waited or the recording had ended.
@@ -46,9 +44,9 @@ impl RecordingCounts {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Counts a message that was dropped.
-    pub fn add_dropped(&self) {
-        self.dropped.fetch_add(1, Ordering::Relaxed);
+    /// Counts messages that were dropped.
+    pub fn add_dropped(&self, count: u64) {
+        self.dropped.fetch_add(count, Ordering::Relaxed);
     }
 
     /// Returns whether the recording has ended, because the disk is full.
@@ -64,13 +62,31 @@ impl RecordingCounts {
 
 /// Reason why a recording cannot go on.
 #[derive(Debug, thiserror::Error)]
-enum FileError {
+pub enum FileError {
+    /// The system refuses to write.
     #[error("cannot write {path}: {source}")]
-    Io { path: PathBuf, source: io::Error },
+    Io {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: io::Error,
+    },
+    /// The disk is nearly full.
     #[error("{path}: {free_mb} MB of disk are left, and {keep_mb} MB are kept for maps and report")]
-    DiskFull { path: PathBuf, free_mb: u64, keep_mb: u64 },
+    DiskFull {
+        /// Path of the file.
+        path: PathBuf,
+        /// Free space, megabytes.
+        free_mb: u64,
+        /// Space that is left free, megabytes.
+        keep_mb: u64,
+    },
+    /// The file is not where it was.
     #[error("{path} was moved or deleted while it was written: what was recorded until then went with it")]
-    Gone { path: PathBuf },
+    Gone {
+        /// Path of the file.
+        path: PathBuf,
+    },
 }
 
 /// Files of a recording, by their first name: `NAME.mcap`, `NAME_1.mcap` and so on. None is overwritten.
@@ -78,61 +94,45 @@ pub struct RecordingFiles {
     first: PathBuf,
     disk_free_bytes: u64,
     file: Option<(PathBuf, File)>,
+    /// Bytes of this file.
+    file_bytes: u64,
     all: Vec<PathBuf>,
     /// Files that were there before the first of these.
     earlier: Vec<PathBuf>,
-    /// Why no more can be written.
-    failure: Option<FileError>,
 }
 
 impl RecordingFiles {
     /// Names the files after the first; none is opened yet. So many bytes of the disk are left free.
     pub fn new(first: &Path, disk_free_bytes: u64) -> Self {
         let (all, earlier) = (Vec::new(), Vec::new());
-        Self { first: first.into(), disk_free_bytes, file: None, all, earlier, failure: None }
+        Self { first: first.into(), disk_free_bytes, file: None, file_bytes: 0, all, earlier }
     }
 
-    /// Ends the file before and begins the next one.
-    pub fn begin_file(&mut self) {
-        self.attempt(Self::begin);
-    }
-
-    /// Appends bytes to the file.
-    pub fn append(&mut self, bytes: &[u8]) {
-        self.attempt(|files| files.write(bytes));
-    }
-
-    /// Returns why no more can be written.
-    pub fn failure(&self) -> Option<String> {
-        self.failure.as_ref().map(ToString::to_string)
-    }
-
-    /// Returns the files, and why something could not be written.
+    /// Returns the files.
     pub fn finish(self) -> Written {
-        let failure = self.failure();
-        Written { files: self.all, earlier: self.earlier, failure }
+        Written { files: self.all, earlier: self.earlier }
     }
 
-    fn attempt(&mut self, act: impl FnOnce(&mut Self) -> Result<(), FileError>) {
-        if self.failure.is_none() {
-            self.failure = act(self).err();
-        }
-    }
-
-    fn begin(&mut self) -> Result<(), FileError> {
+    /// Ends the file before, begins the next one and returns its name.
+    ///
+    /// # Errors
+    /// No file can be created.
+    pub fn begin_file(&mut self) -> Result<String, FileError> {
         self.file = None;
         let stem = self.first.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let extension = self.first.extension().unwrap_or("mcap".as_ref()).to_owned();
+        let extension = self.first.extension().unwrap_or("mcap".as_ref()).to_string_lossy().into_owned();
         let name = |index: usize| match index {
             0 => self.first.clone(),
-            _ => self.first.with_file_name(format!("{stem}_{index}")).with_extension(&extension),
+            // A point in the stem belongs to the name.
+            _ => self.first.with_file_name(format!("{stem}_{index}.{extension}")),
         };
         for path in (0..FILES_MAX).map(name) {
             match OpenOptions::new().write(true).create_new(true).open(&path) {
                 Ok(file) => {
                     self.all.push(path.clone());
-                    self.file = Some((path, file));
-                    return Ok(());
+                    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                    (self.file, self.file_bytes) = (Some((path, file)), 0);
+                    return Ok(name);
                 }
                 Err(why) if why.kind() == io::ErrorKind::AlreadyExists => {
                     if self.all.is_empty() {
@@ -146,7 +146,11 @@ impl RecordingFiles {
         Err(FileError::Io { path: self.first.clone(), source })
     }
 
-    fn write(&mut self, bytes: &[u8]) -> Result<(), FileError> {
+    /// Appends bytes to the file, all of them or none that counts.
+    ///
+    /// # Errors
+    /// The file is gone, the disk is nearly full, or the system refuses. Append nothing more then.
+    pub fn append(&mut self, bytes: &[u8]) -> Result<(), FileError> {
         let Some((path, file)) = &mut self.file else { return Ok(()) };
         let identity = |of: Metadata| (of.dev(), of.ino());
         if std::fs::metadata(&*path).ok().map(identity) != file.metadata().ok().map(identity) {
@@ -160,6 +164,13 @@ impl RecordingFiles {
                 return Err(FileError::DiskFull { path: path.clone(), free_mb, keep_mb });
             }
         }
-        file.write_all(bytes).map_err(|source| FileError::Io { path: path.clone(), source })
+        file.write_all(bytes).map_err(|source| FileError::Io { path: path.clone(), source })?;
+        self.file_bytes += bytes.len() as u64;
+        Ok(())
+    }
+
+    /// Returns the bytes of the file that was begun last.
+    pub fn file_bytes(&self) -> u64 {
+        self.file_bytes
     }
 }

@@ -83,6 +83,9 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let written = args.run_dir.as_ref().map_or(Ok(()), |dir| write_results(dir, &config, &mut fleet));
     let maps_hash = record::map_hash(fleet.maps());
     let recorded = recording.map(Recording::finish);
+    if let Some(summary) = &recorded {
+        record::describe_parts(&summary.bag, &summary.files)?;
+    }
     if let Some(why) = recorded.as_ref().and_then(|recorded| recorded.ended.clone()) {
         return Err(why.into());
     }

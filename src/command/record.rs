@@ -4,8 +4,11 @@ use super::run_args::RunArgs;
 use super::{Error, output};
 use crate::channel::{Opener, Program};
 use crate::process::record::{self, Summary, new_files, write_summary};
+use crate::run::Run;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
+use std::fs::File;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -37,7 +40,7 @@ pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
     let mut run = args.run.open()?;
     run.config.recording.split_mb = args.split_mb.unwrap_or(run.config.recording.split_mb);
     run.config.recording.validate()?;
-    let path = match &args.out {
+    let (path, summary_path) = match &args.out {
         Some(path) if !is_named_as_recording(path) => {
             return Err(format!(
                 "{}: expected a name that ends in .mcap, which `mr-slam replay` reads",
@@ -45,21 +48,26 @@ pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
             )
             .into());
         }
-        Some(path) => path.clone(),
-        None => free_path(&run.dir.join(record::FOLDER)),
+        Some(path) => reserve(path)?,
+        None => reserve_name(&run.dir.join(record::FOLDER))?,
     };
-    if let Some(folder) = path.parent().filter(|folder| *folder != Path::new("")) {
-        formats::folder::create(folder)?;
+    let recorded = record_to(&path, args, &run, stop);
+    let summary = recorded.inspect_err(|_| {
+        // Nothing was recorded: the name is free again.
+        let _ = std::fs::remove_file(&summary_path);
+    })?;
+    write_summary(&summary_path, &summary)?;
+    output::print_either(args.json, &summary, || summary.text())?;
+    let described = record::describe_parts(&summary.bag, &summary.files);
+    match summary.ended {
+        Some(why) => Err(why.into()),
+        None => Ok(described?),
     }
-    let files = new_files(&path, &run.config.recording)?;
-    let summary_path = path.with_extension("json");
-    if summary_path.exists() {
-        return Err(format!(
-            "{}: exists already; choose another name for the recording",
-            summary_path.display()
-        )
-        .into());
-    }
+}
+
+/// Records the fleet until it ends, or the recording is to end.
+fn record_to(path: &Path, args: &RecordArgs, run: &Run, stop: &Stop) -> Result<Summary, Error> {
+    let files = new_files(path, &run.config.recording)?;
     let name = format!("record {}", std::process::id());
     let node = Participant::open(&run.domain, Opener::of_fleet(Program::RecordTool), &name)?;
     output::note(&format!("recording {} to {}", run.dir.display(), path.display()));
@@ -68,26 +76,43 @@ pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
         let elapsed = begun.elapsed().as_secs_f64();
         stop.requested() || args.seconds.is_some_and(|seconds| elapsed >= seconds) || !run.is_alive()
     };
-    let summary = record::record(&node, &run, files, stop, &is_over)?;
-    write_summary(&summary_path, &summary).map_err(|why| format!("{}: {why}", summary_path.display()))?;
-    output::print_either(args.json, &summary, || summary.text())?;
-    match summary.ended {
-        Some(why) => Err(why.into()),
-        None => Ok(()),
-    }
+    record::record(&node, run, files, stop, &is_over)
 }
 
 fn is_named_as_recording(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
-/// Returns a path named by the time in a folder, of which there is neither a recording nor its numbers yet.
-fn free_path(folder: &Path) -> PathBuf {
+/// Creates the file with the numbers of a recording at this path, so that no other recorder has it, and returns both paths.
+fn reserve(path: &Path) -> Result<(PathBuf, PathBuf), Error> {
+    let taken = |path: &Path| -> Error {
+        format!("{}: exists already; choose another name for the recording", path.display()).into()
+    };
+    if let Some(folder) = path.parent().filter(|folder| *folder != Path::new("")) {
+        formats::folder::create(folder)?;
+    }
+    let summary_path = path.with_extension("json");
+    match File::create_new(&summary_path) {
+        Ok(_) if path.exists() => {
+            let _ = std::fs::remove_file(&summary_path);
+            Err(taken(path))
+        }
+        Ok(_) => Ok((path.to_owned(), summary_path)),
+        Err(why) if why.kind() == io::ErrorKind::AlreadyExists => Err(taken(&summary_path)),
+        Err(why) => Err(format!("cannot write {}: {why}", summary_path.display()).into()),
+    }
+}
+
+/// Reserves a path named by the time in a folder.
+fn reserve_name(folder: &Path) -> Result<(PathBuf, PathBuf), Error> {
     let now = super::up::folder_name_now();
     let named = |suffix: String| folder.join(format!("{now}{suffix}.mcap"));
     let is_free = |path: &PathBuf| !path.exists() && !path.with_extension("json").exists();
     let others = (2..NAMES_TRIED_MAX).map(|number| named(format!("-{number}")));
-    std::iter::once(named(String::new())).chain(others).find(is_free).unwrap_or_else(|| named(String::new()))
+    let names = std::iter::once(named(String::new())).chain(others);
+    // Another recorder may take a name meanwhile.
+    let reserved = names.filter(is_free).find_map(|path| reserve(&path).ok());
+    reserved.map_or_else(|| reserve(&named(String::new())), Ok)
 }
 
 impl Summary {

@@ -4,6 +4,7 @@
 //! tables (`topics`) and write files of a bounded size ([`crate::recording_files`]). It never holds anything up: when too much
 //! waits, messages are dropped and counted.
 
+mod bag;
 pub mod description;
 mod inputs;
 mod operator;
@@ -23,6 +24,8 @@ use crate::shared_memory::{Listener, wait};
 use crate::spare_time::{JobExecutor, SpareTime, WaitingLimits};
 use crate::stop::Stop;
 use ::recording::TopicCount;
+use ::recording::rosbag2::Bag;
+pub use bag::{describe_parts, write_description};
 use inputs::Inputs;
 use msg::{Monotonic, RobotId, Role, ScanPurpose, Stamp};
 use operator::{OperatorChange, OperatorWatch};
@@ -76,30 +79,16 @@ pub struct Summary {
     /// Files of a recorder that was killed before; their messages are not counted here.
     pub earlier: Vec<PathBuf>,
     /// Number of messages of each topic, over all files.
-    pub topics: Vec<TopicSummary>,
+    pub topics: Vec<TopicCount>,
     /// Messages that were dropped because too much waited, or because the recording had ended.
     pub dropped: u64,
     /// Messages that were sent and not received in time.
     pub lost: u64,
     /// Reason why the recording ended before the fleet.
     pub ended: Option<String>,
-}
-
-/// Number of a topic's messages.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct TopicSummary {
-    /// Name of the topic.
-    pub topic: String,
-    /// Number of messages.
-    pub messages: u64,
-    /// Bytes of the messages, each with its encapsulation header.
-    pub bytes: u64,
-}
-
-impl From<&TopicCount> for TopicSummary {
-    fn from(count: &TopicCount) -> Self {
-        Self { topic: count.topic.clone(), messages: count.messages, bytes: count.bytes }
-    }
+    /// The same files and topics, as rosbag2 counts them.
+    #[serde(skip)]
+    pub bag: Bag,
 }
 
 /// Runs the process of a recorded fleet until it is asked to stop.
@@ -121,8 +110,9 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     // The folder may have held another run before.
     summary.earlier.retain(|path| !description::is_of_another_run(path, run));
     write_summary(&folder.join(STEM).with_extension("json"), &summary)?;
+    let described = write_description(&summary.bag, &folder, &summary.earlier);
     // The launcher says that the recording is not whole.
-    summary.ended.map_or(Ok(()), |why| Err(why.into()))
+    summary.ended.map_or(Ok(described?), |why| Err(why.into()))
 }
 
 /// Records a running fleet until `over` returns true or the disk is full.
@@ -280,6 +270,7 @@ impl<P: Ports> Recording<P> {
     /// Records what has come, ends the recording and returns what it has.
     pub fn finish(mut self) -> Summary {
         let now = self.clock.now();
+        self.inputs.end_map_periods();
         (0..PARTS).for_each(|part| self.receive(part, now));
         let lost = self.inputs.lost();
         let panicked =

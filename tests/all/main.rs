@@ -31,6 +31,7 @@ mod navigation;
 mod page;
 mod peers;
 mod recording;
+mod recording_files;
 mod relation_metric;
 mod restart;
 mod ros_package;

@@ -98,37 +98,6 @@ fn the_replay_knows_that_a_robots_driver_was_started_again() {
 }
 
 #[test]
-fn a_recording_that_is_split_is_whole_in_each_file() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("run.mcap");
-    let mut config = config();
-    // Below what the configuration permits, so that some files come in a short run.
-    config.recording.split_mb = 0;
-    let mut fleet = Lockstep::new(&config, true).unwrap();
-    let files = RecordingFiles::new(&path, config.recording.disk_free_bytes());
-    let mut recording = fleet.record(files).unwrap();
-    for _ in 0..400 {
-        fleet.tick(&mut |_, _| {});
-        recording.step();
-    }
-    let summary = recording.finish();
-    assert!(summary.files.len() >= 3, "{:?}", summary.files);
-    assert_eq!(summary.files[1].file_name().unwrap(), "run_1.mcap");
-    let mut messages = 0;
-    for (index, file) in summary.files.iter().enumerate() {
-        let mut reader = RecordingReader::new(File::open(file).unwrap());
-        let mut has_fixed_transforms = false;
-        while let Some(message) = reader.next_message().unwrap() {
-            has_fixed_transforms |= &*message.topic == "/tf_static";
-            messages += 1;
-        }
-        assert_eq!(reader.damage(), None);
-        assert!(has_fixed_transforms || index == 0, "latched messages begin each file: {}", file.display());
-    }
-    assert_eq!(messages, summary.topics.iter().map(|topic| topic.messages).sum::<u64>());
-}
-
-#[test]
 fn a_full_disk_ends_the_recording_with_a_reason_and_not_the_fleet() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config();

@@ -3,7 +3,7 @@
 use super::recording_work::RecordingWork;
 use super::topics::Recorder;
 use crate::channel::{self, Channel};
-use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
+use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort, ReceiveCounts};
 use crate::run::Run;
 use ::bridge::FleetMessage;
 use msg::{
@@ -143,20 +143,45 @@ impl<P: Ports> Inputs<P> {
         });
     }
 
-    /// Returns the number of messages that were sent and not received, where a queue is meant to lose none.
+    /// Lets the newest version of each map be recorded at once, at the end of the recording.
+    pub fn end_map_periods(&mut self) {
+        let of_robots = self.robots.iter_mut().map(|input| &mut input.map);
+        of_robots.chain([&mut self.merged_map]).for_each(|map| map.due = Monotonic(0));
+    }
+
+    /// Returns the number of messages that were sent and not received, of all channels of which each message is recorded.
     pub fn lost(&self) -> u64 {
-        let of_robot = |input: &RobotInputs<P>| {
-            input.commands.receive_counts().lost
-                + input.odometry.receive_counts().lost
-                + input.transforms.receive_counts().lost
-                + input.scans.receive_counts().lost
-                + input.pose_estimates.receive_counts().lost
-        };
-        self.robots.iter().map(of_robot).sum::<u64>() + self.clock.receive_counts().lost
+        let of_fleet = [
+            self.clock.receive_counts(),
+            self.stats.receive_counts(),
+            self.edges.receive_counts(),
+            self.edge_commands.receive_counts(),
+            self.operator_events.receive_counts(),
+            self.zones.receive_counts(),
+            self.exploration.receive_counts(),
+            self.map_transforms.receive_counts(),
+        ];
+        let of_robots = self.robots.iter().flat_map(RobotInputs::receive_counts);
+        of_fleet.into_iter().chain(of_robots).map(|counts| counts.lost).sum()
     }
 }
 
 impl<P: Ports> RobotInputs<P> {
+    /// Returns the counts of the channels of which each message is recorded: not those of maps and true poses.
+    fn receive_counts(&self) -> [ReceiveCounts; 9] {
+        [
+            self.commands.receive_counts(),
+            self.odometry.receive_counts(),
+            self.transforms.receive_counts(),
+            self.scans.receive_counts(),
+            self.pose_estimates.receive_counts(),
+            self.goals.receive_counts(),
+            self.slam_requests.receive_counts(),
+            self.navigation.receive_counts(),
+            self.plans.receive_counts(),
+        ]
+    }
+
     fn receive(&mut self, to: &mut RecordingWork, now: Monotonic) {
         let robot = self.robot;
         each(&mut self.commands, to, move |to, command| to.record_command(robot, command));

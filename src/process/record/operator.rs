@@ -54,7 +54,7 @@ fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<OperatorChange>) {
             }
         }
         if let Ok(state) = control::ask(run, Request::State, PATIENCE) {
-            let json = operator_json(&state);
+            let json = state.operator_json();
             if newest.as_ref() != Some(&json) {
                 newest = Some(json);
                 if to_recorder.send(OperatorChange::State(state)).is_err() {
@@ -64,19 +64,4 @@ fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<OperatorChange>) {
         }
         std::thread::sleep(PERIOD);
     }
-}
-
-/// Returns what is recorded of the bridge's state: not the counters, which change all the time.
-pub fn operator_json(state: &BridgeState) -> serde_json::Value {
-    let driving = state.clients.iter().flat_map(|client| {
-        client.drives.iter().map(|robot| serde_json::json!({ "robot": robot, "address": client.address }))
-    });
-    serde_json::json!({
-        "selected_robot": state.selected,
-        "emergency_stop": state.stopped,
-        "drivers": driving.collect::<Vec<_>>(),
-        "clients": state.clients.iter().map(|client| client.address).collect::<Vec<_>>(),
-        "allowed": state.allowed,
-        "waiting": state.waiting,
-    })
 }

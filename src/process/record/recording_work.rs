@@ -15,7 +15,7 @@ impl RecordingWork {
     /// Records a message that takes so many bytes of memory while it waits.
     pub(super) fn record(&mut self, bytes: usize, record: Action<Recorder>) {
         if !self.work.push(bytes, record) {
-            self.counts.add_dropped();
+            self.counts.add_dropped(1);
         }
     }
 }

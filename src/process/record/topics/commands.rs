@@ -14,10 +14,9 @@ impl Recorder {
         if let Some(newest) = self.senders.get_mut(robot.index())
             && newest.velocity != Some(command.sender)
         {
+            newest.velocity = Some(command.sender);
             let sender = command.sender.to_string();
-            if self.file.record(OwnTopic::CommandSender, robot.index(), |to| to.string(&sender)) {
-                newest.velocity = Some(command.sender);
-            }
+            self.file.record(OwnTopic::CommandSender, robot.index(), |to| to.string(&sender));
         }
         let velocity = [command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s];
         self.file.record(OwnTopic::Command, robot.index(), |to| to.f64s(&velocity));
