@@ -135,6 +135,12 @@ def decode_with_rosbags(path):
     return counts
 
 
+def messages_of_folder(folder):
+    """Returns the number of messages of a bag, as read and as its description says."""
+    with BagReader(folder) as reader:
+        return sum(1 for _ in reader.messages()), reader.message_count
+
+
 def demo(folder, *options, seconds=SECONDS):
     shutil.rmtree(folder, ignore_errors=True)
     log = open(OUT / f"{folder.name}.log", "w")
@@ -169,6 +175,7 @@ def main():
     counts = decode_with_rosbags(path)
     differing = {t: (n, counts[t]) for t, (n, _) in read.items() if counts[t] != n}
     check("rosbags decodes every message", not differing, str(differing or ""))
+    check("rosbags reads the folder as one bag, by its metadata.yaml", messages_of_folder(run / "recording") == (sum(counts.values()),) * 2)
     for topic in ["/tf", "/tf_static", "/robot1/map", "/merged_map", "/robot1/cmd_vel", "/robot1/pose", "/fleet_stats",
                   "/operator_state", "/selected_robot", "/emergency_stop", "/robot2/ground_truth", "/merge_edges", "/robot1/slam_stats",
                   "/robot1/odom_2d", "/robot1/cmd_vel_sender", "/operator_event", "/exclusion_zones", "/explore/state"]:
