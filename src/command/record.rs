@@ -134,3 +134,25 @@ impl Summary {
         text
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_one_recorders_and_no_file_that_is_there_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/a.mcap");
+        let (recording, numbers) = reserve(&path).unwrap();
+        assert_eq!((recording, numbers.is_file()), (path.clone(), true));
+        // Another recorder of this moment, before either has written anything.
+        let why = reserve(&path).unwrap_err().to_string();
+        assert!(why.contains("a.json: exists already"), "{why}");
+        let other = folder.path().join("b.mcap");
+        std::fs::write(&other, "a recording").unwrap();
+        let why = reserve(&other).unwrap_err().to_string();
+        assert!(why.contains("b.mcap: exists already") && !other.with_extension("json").exists(), "{why}");
+        let names: Vec<PathBuf> = (0..3).map(|_| reserve_name(folder.path()).unwrap().0).collect();
+        assert!(names[0] != names[1] && names[1] != names[2] && names[0] != names[2], "{names:?}");
+    }
+}
