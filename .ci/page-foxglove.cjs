@@ -66,7 +66,7 @@ test("the fleet's state and the run's time are parameters", async () => {
   client.getParameters([], "all");
   await until("answers", () => answers.size === 2);
   assert.ok(answers.get("time")[0].value > 0);
-  assert.deepEqual(answers.get("all").map(({ name }) => name), ["/mr_slam/fleet", "/mr_slam/time"]);
+  assert.deepEqual(answers.get("all").map(({ name }) => name), ["/mr_slam/fleet", "/mr_slam/time", "/mr_slam/clock"]);
 });
 
 test("services are called by their schemas, and a call that cannot be done fails", async () => {

@@ -235,7 +235,7 @@ test("a grip that is held when the stop is released drives nothing until it is h
   await headset.button("squeeze", 1);
   await isDriver("you");
   await page.keyboard.press("Escape");
-  await page.waitForSelector("#release:not([hidden])", { state: "attached", ...WAIT });
+  await page.waitForSelector("#release:not([hidden]):enabled", { state: "attached", ...WAIT });
   await page.evaluate(() => document.querySelector("#release").click());
   await page.waitForSelector("#release[hidden]", { state: "attached", ...WAIT });
   await page.waitForFunction(() => globalThis.mixedReality.noticeText(true).startsWith("let go"), null, WAIT);

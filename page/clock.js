@@ -1,9 +1,9 @@
-// The time of the run, as the page estimates it: how old a message is does not depend on how long it was on its way.
+// A clock of the bridge (the time of the run, or its own), as the page estimates it: how old a message is does not depend on how long it was on its way.
 
 /** Answers that are kept; the one that came back soonest counts. */
 const SAMPLES_MAX = 10;
 
-/** The run's clock beside the page's. All times are seconds. */
+/** The bridge's clock beside the page's. All times are seconds. */
 export class RunClock {
   constructor() {
     /** The newest answers: the run's time minus the page's, and how long the answer took. @type {{offset: number, tookS: number}[]} */
@@ -26,10 +26,20 @@ export class RunClock {
   /** Returns how long the newest answer took, or null if there is none. */
   roundTrip() { return this.samples.at(-1)?.tookS ?? null; }
 
+  /** Returns the answer that was on its way for the shortest time, or null if there is none. */
+  best() {
+    return this.samples.length === 0 ? null : this.samples.reduce((a, b) => (b.tookS < a.tookS ? b : a));
+  }
+
+  /** Returns the bridge's time at a time of the page, or null if it is not known. */
+  toBridge(/** @type {number} */ now) {
+    const best = this.best();
+    return best && now + best.offset;
+  }
+
   /** Returns when something with this stamp happened, on the page's clock: now, at the latest. */
   toPage(/** @type {number} */ stamp, /** @type {number} */ now) {
-    if (this.samples.length === 0) return now;
-    const best = this.samples.reduce((a, b) => (b.tookS < a.tookS ? b : a));
-    return Math.min(now, stamp - best.offset);
+    const best = this.best();
+    return best ? Math.min(now, stamp - best.offset) : now;
   }
 }

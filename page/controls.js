@@ -1,14 +1,25 @@
 // The buttons and texts of the page that depend on the state of the fleet.
 
 import { describeExploration, isExploring } from "./exploration.js";
-import { hasGoal } from "./goals.js";
+import { hasGoal, isPaused } from "./goals.js";
 import { element, setText } from "./panels.js";
 
-/** Shows whether the bridge answers, and after how long. @param {boolean} isOpen @param {boolean} isAnswering @param {number | null} roundTrip seconds */
-export function showConnection(isOpen, isAnswering, roundTrip) {
+/** The state of a connection. @typedef {{isOpen: boolean, isAnswering: boolean}} Link */
+
+/** Returns what is said of the connections for commands and for maps: of the worse one. @param {Link} live @param {Link} maps */
+export function describeConnection(live, maps) {
+  if (!live.isOpen) return "no connection";
+  if (!live.isAnswering) return "no answer";
+  if (!maps.isOpen) return "no connection for maps";
+  return maps.isAnswering ? "connected" : "no answer for maps";
+}
+
+/** Shows whether the bridge answers, and after how long. @param {Link} live @param {Link} maps @param {number | null} roundTrip seconds */
+export function showConnection(live, maps, roundTrip) {
   const link = element("link");
-  setText(link, !isOpen ? "no connection" : isAnswering ? "connected" : "no answer");
-  link.className = `badge ${isAnswering ? "good" : "bad"}`;
+  const text = describeConnection(live, maps);
+  setText(link, text);
+  link.className = `badge ${text === "connected" ? "good" : "bad"}`;
   link.title = roundTrip === null ? "" : `the bridge answered after ${(roundTrip * 1000).toFixed(0)} ms`;
 }
 
@@ -24,5 +35,5 @@ export function showExploration(exploration) {
 export function showButtons(robot, isStopped) {
   element("take-over").hidden = !robot?.figures.driver || robot.figures.is_mine === true;
   element("cancel-goal").hidden = !robot || !hasGoal(robot);
-  element("resume-goal").hidden = robot?.navigation?.state !== "paused" || isStopped;
+  element("resume-goal").hidden = !robot || !isPaused(robot) || isStopped;
 }

@@ -36,18 +36,32 @@ export class Driving {
     this.stick = null;
     /** What the devices said last. @type {import("./dead_man.js").Deflections} */
     this.deflections = { headset: undefined, stick: null, keys: null, gamepad: undefined };
+    /** The gamepads that are there, and which one is held, as they were last. */
+    this.pads = { all: "", held: "" };
   }
 
   /** Looks at the situation and the devices. Call it at each change of either. Returns what the devices say. */
   observe() {
-    const gamepad = document.hasFocus() ? [...navigator.getGamepads()].find((pad) => pad !== null) : null;
-    // One that is gone, or heard by another window, may be held meanwhile.
-    if (!gamepad) this.deadMan.lock("gamepad");
-    this.deflections = {
-      headset: this.of.headset(), stick: this.stick, keys: keyDeflection(this.keys), gamepad: gamepad ? gamepadDeflection(gamepad) : undefined,
-    };
+    this.deflections = { headset: this.of.headset(), stick: this.stick, keys: keyDeflection(this.keys), gamepad: this.gamepad() };
     this.deadMan.observe(this.situation(), this.deflections);
     return this.deflections;
+  }
+
+  /**
+   * Returns what the gamepads say: the first one that is held. Undefined without one, and while another window hears them.
+   * Where the browser does not know a gamepad's buttons, nobody knows which one is the dead man's switch: it drives nothing.
+   * @returns {Deflection | null | undefined}
+   */
+  gamepad() {
+    const pads = document.hasFocus() ? [...navigator.getGamepads()].filter((pad) => pad?.mapping === "standard") : [];
+    const nameOf = (/** @type {Gamepad | null | undefined} */ pad) => (pad ? `${pad.index} ${pad.id}` : "");
+    const held = pads.find((pad) => gamepadDeflection(pad) !== null);
+    const [before, now] = [this.pads, { all: pads.map(nameOf).join("\n"), held: nameOf(held) }];
+    this.pads = now;
+    // One that has come may be held since before; and one that another takes over from has not come to rest.
+    if (pads.length === 0 || now.all !== before.all || (now.held !== before.held && now.held && before.held)) this.deadMan.lock("gamepad");
+    if (pads.length === 0) return undefined;
+    return held ? gamepadDeflection(held) : null;
   }
 
   /** Returns the situation as the bridge will say it after a takeover that is under way. @returns {Situation} */

@@ -1,14 +1,15 @@
 // Merge edges: how the robots' maps lie to each other, with the evidence. The operator can pin an edge or undo it.
 
 import { CdrWriter } from "./cdr.js";
+import { format, percent } from "./format.js";
 import { readString } from "./messages.js";
 
 /**
  * One pair of robots, as `/merge_edges` has it.
  * @typedef {object} Edge
  * @property {string} a @property {string} b names of the robots @property {string} state
- * @property {number} occupied_f1 agreement of walls, 0 to 1 @property {number} null_f1_max the same by chance
- * @property {number} overlap_m2 @property {number} residual_m @property {number} closures @property {number} closures_rejected
+ * @property {number | null} occupied_f1 agreement of walls, 0 to 1; of an edge that was not measured null, as the next ones
+ * @property {number | null} null_f1_max the same by chance @property {number | null} overlap_m2 @property {number | null} residual_m @property {number} closures @property {number} closures_rejected
  * @property {number} compared_submaps @property {number} contradicted_submaps
  * @property {boolean} contradicted whether these are so many that one of the two maps is deformed, or lies wrong
  */
@@ -30,8 +31,13 @@ export function readEdges(/** @type {DataView} */ view) {
     throw new RangeError("the merge edges are not JSON");
   }
   if (!Array.isArray(json?.edges)) throw new RangeError("the merge edges have no list");
-  return { edges: json.edges, starts: Array.isArray(json.contradicted_starts) ? json.contradicted_starts : [] };
+  return { edges: json.edges.filter(isEdge), starts: Array.isArray(json.contradicted_starts) ? json.contradicted_starts.filter(isText) : [] };
 }
+
+function isText(/** @type {unknown} */ value) { return typeof value === "string"; }
+
+/** Returns whether this is an edge: of two robots, and in a state. @param {any} edge */
+function isEdge(edge) { return [edge?.a, edge?.b, edge?.state].every(isText); }
 
 /** Returns the number at the end of a robot's name; 0 if there is none. */
 export function numberOf(/** @type {string} */ name) { return Number(/\d+$/.exec(name)?.[0] ?? 0); }
@@ -41,12 +47,11 @@ export function robotsOf({ a, b }) { return [a, b].map(numberOf); }
 
 /** Returns an edge's state and evidence: two short texts. @param {Edge} edge */
 export function describeEdge(edge) {
-  const percent = (/** @type {number} */ share) => `${(share * 100).toFixed(0)} %`;
   const evidence = [
     `walls agree ${percent(edge.occupied_f1)}, by chance ${percent(edge.null_f1_max)}`,
-    `${edge.overlap_m2.toFixed(1)} m² shared`,
-    `${(edge.residual_m * 1000).toFixed(0)} mm apart`,
-    `${edge.closures} closures${edge.closures_rejected > 0 ? `, ${edge.closures_rejected} rejected` : ""}`,
+    `${format(edge.overlap_m2, 1, " m²")} shared`,
+    `${format(edge.residual_m === null ? null : edge.residual_m * 1000, 0, " mm")} apart`,
+    `${format(edge.closures)} closures${edge.closures_rejected > 0 ? `, ${edge.closures_rejected} rejected` : ""}`,
   ];
   return { state: STATES[edge.state] ?? edge.state, evidence: evidence.join(" · ") };
 }

@@ -33,13 +33,15 @@ export function wrap(/** @type {number} */ angle) {
 
 /** Frames that may be known at a time; more are ignored. */
 const FRAMES_MAX = 4096;
+/** A link that is older than the newest one by more is not valid any more, seconds: the bridge repeats links of maps once a second. */
+const LINK_OLD_S = 5;
 /** Frames between a frame and its root; a longer way is a cycle. */
 const DEPTH_MAX = 64;
 
 /** The newest transforms between frames. */
 export class FrameTree {
   constructor() {
-    /** @type {Map<string, {parent: string, pose: Pose, stamp: number}>} */
+    /** Fixed links have an infinite stamp. @type {Map<string, {parent: string, pose: Pose, stamp: number}>} */
     this.frames = new Map();
   }
 
@@ -47,13 +49,16 @@ export class FrameTree {
     if (this.frames.size < FRAMES_MAX || this.frames.has(child)) this.frames.set(child, { parent, pose, stamp });
   }
 
-  /** Returns the pose of a frame in one of its ancestors, or null if that is not known. */
-  find(/** @type {string} */ ancestor, /** @type {string} */ frame) {
+  /**
+   * Returns the pose of a frame in one of its ancestors, or null if that is not known, or not any more.
+   * @param {string} ancestor @param {string} frame @param {number} [at] the time of the fleet: a link that is much older is refused
+   */
+  find(ancestor, frame, at = -Infinity) {
     let pose = { x: 0, y: 0, yaw: 0 };
     for (let depth = 0; depth < DEPTH_MAX; depth += 1) {
       if (frame === ancestor) return pose;
       const known = this.frames.get(frame);
-      if (!known) return null;
+      if (!known || known.stamp < at - LINK_OLD_S) return null;
       pose = compose(known.pose, pose);
       frame = known.parent;
     }

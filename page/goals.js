@@ -43,6 +43,9 @@ export function receiveNavigation(/** @type {Robot} */ robot, /** @type {string}
 /** Returns whether a robot is on its way to a goal. */
 export function hasGoal(/** @type {Robot} */ robot) { return ACTIVE.includes(robot.navigation?.state ?? ""); }
 
+/** Returns whether a robot waits for the operator before it drives on to its goal. */
+export function isPaused(/** @type {Robot} */ robot) { return robot.navigation?.state === "paused"; }
+
 /** Returns the poses of the plan that a robot follows, in the map, or null. @returns {Pose[] | null} */
 export function planInMap(/** @type {Robot} */ robot, /** @type {import("./state.js").Fleet} */ fleet) {
   const { plan } = robot;
@@ -78,7 +81,7 @@ export class GoalTool {
   /**
    * @param {object} of
    * @param {string} of.frame the frame of the map that is shown
-   * @param {(topic: string, type: string, payload: Uint8Array, isUrgent: boolean) => boolean} of.publish
+   * @param {(topic: string, type: string, payload: Uint8Array, isLateWorthy?: boolean) => boolean} of.publish
    * @param {() => Robot | null} of.robot the selected robot
    * @param {(text: string, isError?: boolean) => void} of.log
    * @param {(isOn: boolean) => void} of.show
@@ -128,7 +131,7 @@ export class GoalTool {
   /** Sends a goal to a robot. */
   send(/** @type {Robot} */ robot, /** @type {Pose} */ pose) {
     const message = writePoseStamped(this.of.frame, pose);
-    if (!this.of.publish(`${robot.prefix}goal_pose`, "geometry_msgs/msg/PoseStamped", message, true)) return;
+    if (!this.of.publish(`${robot.prefix}goal_pose`, "geometry_msgs/msg/PoseStamped", message)) return;
     robot.sentGoal = { pose, after: robot.navigation?.goal ?? 0, isAccepted: false };
   }
 
@@ -139,8 +142,8 @@ export class GoalTool {
   command(what) {
     const robot = this.of.robot();
     if (!robot) return;
-    robot.sentGoal = null;
-    this.of.publish(`${robot.prefix}${what}_navigation`, "std_msgs/msg/Empty", writeEmpty(), true);
+    const isSent = this.of.publish(`${robot.prefix}${what}_navigation`, "std_msgs/msg/Empty", writeEmpty(), what === "cancel");
+    if (isSent) robot.sentGoal = null;
   }
 }
 

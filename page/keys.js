@@ -11,6 +11,12 @@ import { isDriveKey } from "./input.js";
  * @property {Record<string, () => void>} actions what a key does, by its code
  */
 
+/** Returns whether a key moves what has the focus: in the panels beside the map arrows scroll. @param {KeyboardEvent} event */
+function scrolls({ code, target }) {
+  const panel = /** @type {HTMLElement | null} */ (target)?.closest?.("aside, [role=log]");
+  return code.startsWith("Arrow") && Boolean(panel);
+}
+
 /** Lets the keyboard act. What could keep the release of a key from the page lets go of all. @param {Keyboard} of */
 export function attachKeys(of) {
   window.addEventListener("keydown", (event) => press(of, event));
@@ -36,6 +42,7 @@ function press({ driving, select, stop, takesKey, actions }, event) {
     event.preventDefault();
     return;
   }
+  if (scrolls(event)) return;
   const digit = /^(?:Digit|Numpad)([1-9])$/.exec(event.code);
   if (isDriveKey(event.code) || event.code.startsWith("Shift")) {
     driving.press(event.code, event.repeat);

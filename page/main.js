@@ -5,6 +5,7 @@ import { Driving, attachStick, situationOf } from "./driving.js";
 import { EdgePanel, writeEdgeCommand } from "./edges.js";
 import { showButtons, showConnection, showExploration } from "./controls.js";
 import { isExploring } from "./exploration.js";
+import { Isolation } from "./isolation.js";
 import { hintText } from "./hint.js";
 import { attachKeys, nextRobot } from "./keys.js";
 import { MapCursor } from "./map_cursor.js";
@@ -17,7 +18,7 @@ import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } 
 import { attachPointers } from "./pointers.js";
 import { RobotMaps } from "./seen.js";
 import { Fleet, MAP } from "./state.js";
-import { EmergencyStop } from "./stop.js";
+import { StopButtons } from "./stop_buttons.js";
 import { Connection } from "./transport.js";
 import { View } from "./view.js";
 import { MixedReality } from "./xr.js";
@@ -59,7 +60,7 @@ const live = new Connection(url, {
   run: setRun,
   state: (isOpen) => {
     if (isOpen) fleet.clock.reset();
-    if (isOpen) emergencyStop.repeat();
+    if (isOpen) stopButtons.asked.repeat();
     driving.observe();
     showLink();
   },
@@ -119,7 +120,7 @@ function beginRun() {
   measure.line = null;
   panelsDue = 0;
   followMap();
-  showStop();
+  stopButtons.show();
   logMessage("the fleet has started again");
 }
 
@@ -135,22 +136,30 @@ function warn(/** @type {string} */ text) {
   reality.warn(text);
 }
 
-/** Publishes a command, and says so if it cannot be sent. @param {string} topic @param {string} type @param {Uint8Array} payload */
-function send(topic, type, payload) {
-  const isSent = live.publish(topic, type, payload, true);
-  if (!isSent) warn(`${topic} was not sent: no connection`);
+/**
+ * Publishes a command, and says so if it cannot be sent. While the bridge does not answer, only what is worth carrying out late is sent:
+ * what begins a motion would begin it when nobody expects it any more.
+ * @param {string} topic @param {string} type @param {Uint8Array} payload @param {boolean} [isLateWorthy]
+ */
+function send(topic, type, payload, isLateWorthy = false) {
+  const isSent = (isLateWorthy || isAnswering()) && live.publish(topic, type, payload, isLateWorthy);
+  if (!isSent) warn(`${topic} was not sent: ${live.isOpen ? "the bridge does not answer" : "no connection"}`);
   return isSent;
 }
 
-/** Whether the bridge has answered lately. */
-const isAnswering = () => live.isOpen && live.silence() <= SILENT_MS;
+/** Whether something has come lately on a connection. @param {Connection} connection */
+const isConnected = (connection) => connection.isOpen && connection.silence() <= SILENT_MS;
+/** Whether the bridge has answered lately to commands. */
+const isAnswering = () => isConnected(live);
 
 setInterval(() => {
   [live, maps].forEach((connection) => connection.tick());
   robotMaps.tick(fleet, now());
 }, TICK_MS);
 
-const showLink = () => showConnection(live.isOpen, isAnswering(), fleet.clock.roundTrip());
+const showLink = () => showConnection(
+  { isOpen: live.isOpen, isAnswering: isAnswering() }, { isOpen: maps.isOpen, isAnswering: isConnected(maps) }, fleet.clock.roundTrip(),
+);
 
 /** Returns the robot with a number; null if nobody has it. @param {number | null} number */
 const robotOf = (number) => (number === null ? null : fleet.robots.get(number) ?? null);
@@ -162,8 +171,9 @@ function receive(topic, data) {
   } catch (error) {
     if (!(error instanceof RangeError)) throw error;
     logMessage(`${topic}: ${error.message}`, true);
+    return;
   }
-  if (topic === "/emergency_stop") showStop();
+  if (topic === "/emergency_stop") stopButtons.receive();
   if (topic === "/exclusion_zones") showRefusal();
 }
 
@@ -214,31 +224,11 @@ function goTo(number) {
 
 // --- Emergency stop ---
 
-const emergencyStop = new EmergencyStop(() => live.publish("/emergency_stop", "std_msgs/msg/Bool", writeBool(true), true), logMessage);
-
-function stop() {
-  if (fleet.figures.is_replay === true) return;
-  emergencyStop.ask(now());
-  driving.observe();
-  // One that is set already is not told again.
-  if (fleet.isStopped === true && isAnswering()) emergencyStop.confirm(now());
-}
-
-function showStop() {
-  const isStopped = fleet.isStopped === true;
-  element("stop").classList.toggle("set", isStopped);
-  element("release").hidden = !isStopped;
-  if (isStopped) emergencyStop.confirm(now());
-  driving.observe();
-}
-
-element("stop").addEventListener("click", stop);
-function release() {
-  emergencyStop.forget();
-  send("/emergency_stop_release", "std_msgs/msg/Empty", writeEmpty());
-}
-
-element("release").addEventListener("click", release);
+const stopButtons = new StopButtons({
+  fleet, now, log: logMessage, changed: () => driving.observe(),
+  sendStop: () => live.publish("/emergency_stop", "std_msgs/msg/Bool", writeBool(true), true),
+  sendRelease: () => send("/emergency_stop_release", "std_msgs/msg/Empty", writeEmpty()),
+});
 
 // --- Driving ---
 
@@ -246,7 +236,7 @@ element("release").addEventListener("click", release);
 const driving = new Driving({
   fleet,
   selected: () => selected,
-  situation: () => situationOf(fleet, robotOf(selected), emergencyStop.isAsked, isAnswering()),
+  situation: () => situationOf(fleet, robotOf(selected), stopButtons.asked.isAsked, isAnswering()),
   headset: () => reality.drive(),
   publish: (topic, type, payload) => live.publish(topic, type, payload),
 });
@@ -306,7 +296,8 @@ element("resume-goal").addEventListener("click", () => goals.command("resume"));
 // --- Exploration and merge edges ---
 
 element("explore").addEventListener("click", () => {
-  send("/explore/resume", "std_msgs/msg/Bool", writeBool(!isExploring(fleet.exploration)));
+  const starts = !isExploring(fleet.exploration);
+  send("/explore/resume", "std_msgs/msg/Bool", writeBool(starts), !starts);
 });
 
 const edgePanel = new EdgePanel(element("edge-list"), element("edges"), (command, edge) => {
@@ -319,7 +310,7 @@ function selectNext(/** @type {number} */ step) {
 }
 
 attachKeys({
-  driving, releaseAll, select, stop,
+  driving, releaseAll, select, stop: stopButtons.stop,
   takesKey: (event) => document.activeElement === view.canvas && cursor.key(event.code, event.shiftKey, event.repeat),
   actions: {
     KeyT: takeOver,
@@ -335,12 +326,14 @@ attachKeys({
 // --- Mixed reality ---
 
 const reality = new MixedReality({
-  fleet, select, selectNext, stop, release, takeOver, log: logMessage, now,
+  fleet, select, selectNext, stop: stopButtons.stop, release: stopButtons.release, takeOver, log: logMessage, now,
   selected: () => selected,
   isConnected: isAnswering,
   mustLetGo: () => driving.isWaiting,
   isRefused: () => driving.isRefused,
-  isStopUnconfirmed: () => emergencyStop.isUnconfirmed(now()),
+  mayRelease: () => stopButtons.asked.mayRelease(now()),
+  command: (what) => goals.command(what),
+  isStopUnconfirmed: () => stopButtons.asked.isUnconfirmed(now()),
   floorSelected: (point) => {
     const robot = robotOf(selected);
     if (robot) goals.send(robot, { ...point, yaw: headingOf(point, point, 0, robot.pose) });
@@ -362,7 +355,7 @@ function showHint() {
   const isReplay = fleet.figures.is_replay === true;
   document.body.classList.toggle("replay", isReplay);
   const text = hintText({
-    isReplay, isOpen: live.isOpen, isAnswering: isAnswering(), isStopUnconfirmed: emergencyStop.isUnconfirmed(now()), isStopped: fleet.isStopped === true,
+    isReplay, isOpen: live.isOpen, isAnswering: isAnswering(), isStopUnconfirmed: stopButtons.asked.isUnconfirmed(now()), isStopped: fleet.isStopped === true,
     mustSelect: selected === null && fleet.robots.size > 1 && driving.driver.driven === null, isHeld: driving.isHeld,
     otherDriver: figures?.driver && !figures.is_mine ? figures.driver : null, mustLetGo: driving.isWaiting, cursor: cursor.describe(),
   });
@@ -370,23 +363,33 @@ function showHint() {
   setText(hint, text);
 }
 
+/** Parts of the page that fail by themselves, and say so. */
+const isolation = new Isolation((text) => logMessage(text, true));
+
+/** Brings each panel up to date: one that fails keeps no other one from it. What the operator must not miss comes first. @param {number} time */
+function updatePanels(time) {
+  isolation.run("the connection", showLink);
+  isolation.run("the hint", showHint);
+  isolation.run("the emergency stop", () => stopButtons.show());
+  isolation.run("the buttons", () => showButtons(robotOf(selected), fleet.isStopped === true));
+  isolation.run("the robots", () => panels.update(fleet, selected, time));
+  isolation.run("the attention list", () => attention.update(fleet.attention(time, isAnswering()), fleet));
+  isolation.run("the fleet's figures", () => fleetPanel.update(fleet, time));
+  isolation.run("the exploration", () => showExploration(fleet.exploration));
+  isolation.run("the joined maps", () => edgePanel.update(fleet.edges));
+}
+
 function frame() {
   // First: an error in one picture must not end all others.
   requestAnimationFrame(frame);
   const time = now();
+  measure.followFrame(fleet.mapFrames);
   view.drawnGoal = goals.pose();
   view.draw(fleet, selected, time);
   fleet.recordDrawn(now());
   if (time >= panelsDue) {
     panelsDue = time + PANEL_MS / 1000;
-    panels.update(fleet, selected, time);
-    fleetPanel.update(fleet, time);
-    attention.update(fleet.attention(time, isAnswering()), fleet);
-    edgePanel.update(fleet.edges);
-    showExploration(fleet.exploration);
-    showLink();
-    showHint();
-    showButtons(robotOf(selected), fleet.isStopped === true);
+    updatePanels(time);
   }
 }
 requestAnimationFrame(frame);

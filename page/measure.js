@@ -11,6 +11,14 @@ export class MeasureTool {
     this.isHeld = false;
     /** @type {{from: Point, to: Point} | null} */
     this.line = null;
+    /** The frame of the map in which it is drawn, as the fleet counts them. */
+    this.frame = 1;
+  }
+
+  /** Forgets a distance that was measured in another frame of the map. */
+  followFrame(/** @type {number} */ frame) {
+    if (frame !== this.frame) [this.line, this.isHeld] = [null, false];
+    this.frame = frame;
   }
 
   /** Switches the tool on or off; without it there is no line. */

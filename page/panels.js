@@ -1,5 +1,6 @@
 // The panels beside the map: robots, fleet, attention, messages.
 
+import { format, percent } from "./format.js";
 import { describeNavigation } from "./goals.js";
 import { STALE_S } from "./state.js";
 import { shapePath } from "./view.js";
@@ -24,16 +25,6 @@ export function element(/** @type {string} */ id) {
 /** Sets a text if it differs, so that screen readers and selections are left alone. */
 export function setText(/** @type {Element} */ of, /** @type {string} */ text) {
   if (of.textContent !== text) of.textContent = text;
-}
-
-/** Returns a number with so many digits and a unit, or a dash if it is not known. */
-export function format(/** @type {unknown} */ value, digits = 0, unit = "") {
-  return typeof value === "number" && Number.isFinite(value) ? `${value.toFixed(digits)}${unit}` : "–";
-}
-
-/** Returns a share, 0 to 1, in percent, or a dash if it is not known. */
-export function percent(/** @type {unknown} */ share, digits = 0) {
-  return typeof share === "number" ? format(share * 100, digits, " %") : "–";
 }
 
 /** @param {string} name @param {string} [className] @param {string} [text] */

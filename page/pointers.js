@@ -21,13 +21,17 @@ export function attachPointers({ view, fleet, tools, select, zoom, show, log }) 
   const { canvas, camera } = view;
   /** Where the pointers are, pixels. @type {Map<number, {x: number, y: number, moved: number}>} */
   const pointers = new Map();
+  /** The pointer that draws with a tool. @type {number | null} */
+  let drawing = null;
   const pixelOf = (/** @type {MouseEvent} */ event) => ({ x: event.offsetX, y: event.offsetY });
 
   /** Ends what a pointer did. Other things lie over the map and beside it: there nothing is sent. @param {PointerEvent} event */
   const release = (event) => {
     const pointer = pointers.get(event.pointerId);
     pointers.delete(event.pointerId);
-    if (tools.isHeld) {
+    if (event.pointerId === drawing) {
+      drawing = null;
+      if (!tools.isHeld) return;
       if (document.elementFromPoint(event.clientX, event.clientY) === canvas) {
         tools.release();
       } else {
@@ -40,12 +44,25 @@ export function attachPointers({ view, fleet, tools, select, zoom, show, log }) 
     }
   };
 
+  /** Gives up what the pointer draws. */
+  const giveUpDrawing = () => {
+    if (drawing !== null) tools.cancel();
+    drawing = null;
+  };
+
   canvas.addEventListener("pointerdown", (event) => {
     // A mouse's other buttons, and those of a pen, do nothing.
     if (event.button !== PRIMARY_BUTTON) return;
     canvas.setPointerCapture(event.pointerId);
+    if (pointers.size > 0) {
+      // Two fingers move the view: neither draws, nor selects a robot when it is lifted.
+      giveUpDrawing();
+      for (const [id, pointer] of pointers) pointers.set(id, { ...pointer, moved: Infinity });
+      pointers.set(event.pointerId, { ...pixelOf(event), moved: Infinity });
+      return;
+    }
     pointers.set(event.pointerId, { ...pixelOf(event), moved: 0 });
-    tools.press(camera.toWorld(pixelOf(event)));
+    if (tools.press(camera.toWorld(pixelOf(event)))) drawing = event.pointerId;
   });
   canvas.addEventListener("pointermove", (event) => {
     const pointer = pointers.get(event.pointerId);
@@ -58,8 +75,7 @@ export function attachPointers({ view, fleet, tools, select, zoom, show, log }) 
     const pixel = pixelOf(event);
     const [dx, dy] = [pixel.x - pointer.x, pixel.y - pointer.y];
     const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
-    if (other) tools.cancel();
-    if (tools.isHeld) {
+    if (event.pointerId === drawing) {
       tools.move(camera.toWorld(pixel));
     } else if (other) {
       const before = Math.hypot(pointer.x - other.x, pointer.y - other.y);
@@ -78,7 +94,7 @@ export function attachPointers({ view, fleet, tools, select, zoom, show, log }) 
   });
   canvas.addEventListener("pointercancel", (event) => {
     pointers.delete(event.pointerId);
-    tools.cancel();
+    if (event.pointerId === drawing) giveUpDrawing();
   });
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();

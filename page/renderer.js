@@ -145,6 +145,9 @@ export class Renderer {
     if (indices) this.gl.deleteBuffer(indices);
   }
 
+  /** Gives all that it has on the graphics processor back: nothing is drawn any more. */
+  dispose() { this.gl.getExtension("WEBGL_lose_context")?.loseContext(); }
+
   /** Begins a frame. @param {WebGLFramebuffer | null} framebuffer */
   begin(framebuffer) {
     const { gl } = this;

@@ -79,6 +79,8 @@ async function checkSession() {
   const begun = performance.now();
   /** @type {XrSession} */
   const xr = await XrSession.begin(session, {
+    input: () => {},
+    moved: () => {},
     update: (frame, viewer) => {
       frames += 1;
       setFact("Views", viewer.views.length);

@@ -1,8 +1,9 @@
 // What the page knows of the fleet: robots, their frames, scans and figures, the merged map. No drawing, no clock.
 
+import { attentionOf } from "./attention.js";
 import { RunClock } from "./clock.js";
-import { FrameTree, compose, wrap } from "./geometry.js";
-import { numberOf, readEdges, robotsOf } from "./edges.js";
+import { FrameTree, compose, invert, transform, wrap } from "./geometry.js";
+import { readEdges } from "./edges.js";
 import { readExploration } from "./exploration.js";
 import { readZones } from "./zones.js";
 import { hasGoal, receiveNavigation } from "./goals.js";
@@ -31,10 +32,6 @@ const BACKWARD_S = 2;
 
 /** A correction of SLAM or merging that moves a robot by more than this in one step is a jump: metres, radians. Others are centimetres. */
 const JUMP = { m: 0.3, rad: 0.26 };
-/** Time for which a jump is told, seconds. */
-const JUMP_SHOWN_S = 60;
-/** Time from which a robot that stands without a goal and a driver needs attention, seconds. */
-const IDLE_S = 120;
 /** Turn below which a robot stands, radians. */
 const REST_RAD = 0.05;
 /** Scans whose way to the screen is kept. */
@@ -106,6 +103,12 @@ export class Fleet {
     /** @type {Map<number, Robot>} */
     this.robots = new Map();
     this.frames = new FrameTree();
+    /** The newest stamp of the robots and their maps, seconds of the run: what is much older is not valid any more. */
+    this.framesAt = -Infinity;
+    /** The maps in the merged map, as they were said last. @type {Map<string, Pose>} */
+    this.mapLinks = new Map();
+    /** Counts how often the frame of the merged map became another one: what was drawn in it lies elsewhere then. */
+    this.mapFrames = 1;
     this.clock = new RunClock();
     this.merged = new MergedMap();
     /** Which robot saw what of the map. @type {import("./seen.js").Layer | null} */
@@ -143,9 +146,10 @@ export class Fleet {
    */
   setRunTime(askedAt, answeredAt, runTime) {
     // A bridge that has just begun does not know the time yet.
-    const isAnother = runTime > 0 && runTime < this.runTime - BACKWARD_S;
+    if (runTime <= 0) return false;
+    const isAnother = runTime < this.runTime - BACKWARD_S;
     if (isAnother) this.restart();
-    if (runTime > 0) this.runTime = runTime;
+    this.runTime = runTime;
     this.clock.add(askedAt, answeredAt, runTime);
     return isAnother;
   }
@@ -170,6 +174,8 @@ export class Fleet {
     this.runs += 1;
     this.runTime = 0;
     this.clock.reset();
+    this.framesAt = -Infinity;
+    this.mapLinks = new Map();
     this.frames = new FrameTree();
     this.merged.clear();
     Object.assign(this, { seen: null, edges: [], contradictedStarts: [], exploration: null, zones: [], area: [] });
@@ -207,7 +213,7 @@ export class Fleet {
 
   /** Takes a message. Throws a RangeError if it is not one of its type. */
   receive(/** @type {string} */ topic, /** @type {DataView} */ view, /** @type {number} */ now) {
-    if (topic === "/tf" || topic === "/tf_static") return this.receiveTransforms(view, now);
+    if (topic === "/tf" || topic === "/tf_static") return this.receiveTransforms(view, now, topic === "/tf_static");
     if (topic === "/emergency_stop") {
       this.isStopped = readBool(view);
       return undefined;
@@ -235,22 +241,35 @@ export class Fleet {
       this.exploration = readExploration(view);
       return undefined;
     }
-    for (const robot of this.robots.values()) {
-      if (topic.startsWith(robot.prefix)) {
-        this.receiveOfRobot(robot, topic.slice(robot.prefix.length), view, now);
-        return undefined;
-      }
-    }
+    const named = this.robotOfTopic(topic);
+    if (named) this.receiveOfRobot(named.robot, named.rest, view, now);
     return undefined;
   }
 
-  receiveTransforms(/** @type {DataView} */ view, /** @type {number} */ now) {
+  /** Returns the robot that a topic belongs to, and the rest of its name. Of names that begin alike it is the longest. @param {string} topic */
+  robotOfTopic(topic) {
+    const robots = [...this.robots.values()].filter(({ prefix }) => topic.startsWith(prefix));
+    if (robots.length === 0) return null;
+    const robot = robots.reduce((a, b) => (b.prefix.length > a.prefix.length ? b : a));
+    return { robot, rest: topic.slice(robot.prefix.length) };
+  }
+
+  /** @param {DataView} view @param {number} now @param {boolean} isStatic */
+  receiveTransforms(view, now, isStatic) {
     /** Newest stamps of the frames. @type {Map<string, number>} */
     const changed = new Map();
+    const mapLinks = new Map();
+    const bases = new Set([...this.robots.values()].map(({ baseFrame }) => baseFrame));
     for (const { parent, child, pose, stamp } of readTransforms(view)) {
-      this.frames.set(parent, child, pose, stamp);
+      const before = this.frames.frames.get(child);
+      this.frames.set(parent, child, pose, isStatic ? Infinity : stamp);
       changed.set(child, stamp);
+      // Others may publish frames with times of another clock.
+      if (!isStatic && (parent === MAP || bases.has(child))) this.framesAt = Math.max(this.framesAt, stamp);
+      if (parent === MAP && !isStatic) mapLinks.set(child, pose);
+      if (parent === MAP && before?.parent === MAP) this.moveTrails(child, compose(pose, invert(before.pose)));
     }
+    this.followMapFrame(mapLinks);
     for (const robot of this.robots.values()) {
       // A robot is where its odometry says: only that shows that the pose is new.
       const stamp = changed.get(robot.baseFrame);
@@ -258,9 +277,45 @@ export class Fleet {
     }
   }
 
+  /**
+   * Takes the maps in the merged map. Its frame is another one if none of them was in it before, or if all of those have jumped.
+   * @param {Map<string, Pose>} links
+   */
+  followMapFrame(links) {
+    const odometries = new Set([...this.robots.values()].map(({ baseFrame }) => this.frames.frames.get(baseFrame)?.parent));
+    const maps = new Map([...links].filter(([frame]) => !odometries.has(frame)));
+    if (maps.size === 0) return;
+    const stays = (/** @type {[string, Pose]} */ [frame, pose]) => {
+      const before = this.mapLinks.get(frame);
+      return before !== undefined && !isJump(compose(pose, invert(before)));
+    };
+    if (this.mapLinks.size > 0 && ![...maps].some(stays)) this.mapFrames += 1;
+    this.mapLinks = maps;
+  }
+
+  /** Returns whether a robot's own map is in the merged map now: only then its trail lies where it drove. @param {Robot} robot */
+  isPlaced(robot) {
+    const frame = this.mapFrameOf(robot);
+    return frame !== null && this.find(frame) !== null;
+  }
+
+  /** Moves the trails of the robots in a map that is laid elsewhere in the merged map. @param {string} frame of the map @param {Pose} by */
+  moveTrails(frame, by) {
+    if (Math.hypot(by.x, by.y) < TRAIL_STEP_M && Math.abs(by.yaw) < REST_RAD) return;
+    for (const robot of this.robots.values()) {
+      if (this.mapFrameOf(robot) === frame) robot.trail = robot.trail.map((point) => transform(by, point));
+    }
+  }
+
+  /** Returns the frame of a robot's own map, or `map` if it has none; null if it is not known. @param {Robot} robot @returns {string | null} */
+  mapFrameOf(robot) {
+    const odometry = this.frames.frames.get(robot.baseFrame)?.parent;
+    return odometry === undefined ? null : this.frames.frames.get(odometry)?.parent ?? null;
+  }
+
   updatePose(/** @type {Robot} */ robot, /** @type {number} */ at) {
     const odometry = this.frames.frames.get(robot.baseFrame);
-    const odometryInMap = odometry ? this.frames.find(MAP, odometry.parent) : null;
+    const odometryInMap = odometry ? this.find(odometry.parent) : null;
     if (!odometry || !odometryInMap) return;
     const pose = compose(odometryInMap, odometry.pose);
     if (robot.odometryInMap) {
@@ -294,7 +349,7 @@ export class Fleet {
   receiveOfRobot(robot, topic, view, now) {
     if (topic === "scan") {
       robot.scan = readScan(view);
-      robot.scanPose = this.frames.find(MAP, robot.scan.frame);
+      robot.scanPose = this.find(robot.scan.frame);
       robot.scanAt = this.clock.toPage(robot.scan.stamp, now);
     } else if (topic === "odom") {
       if (robot.baseFrame === "") robot.baseFrame = readOdometryFrames(view).child;
@@ -305,9 +360,12 @@ export class Fleet {
     }
   }
 
+  /** Returns the pose of a frame in the map, or null if it is not known, or not any more. @param {string} frame */
+  find(frame) { return this.frames.find(MAP, frame, this.framesAt); }
+
   /** Returns what takes poses of a frame to the map, or null if the frame's place is not known. */
   placeIn(/** @type {string} */ frame) {
-    const place = this.frames.find(MAP, frame);
+    const place = this.find(frame);
     return place ? (/** @type {Pose} */ pose) => compose(place, pose) : null;
   }
 
@@ -324,63 +382,9 @@ export class Fleet {
     return { minX: Math.min(...xs), maxX: Math.max(...xs), minY: Math.min(...ys), maxY: Math.max(...ys) };
   }
 
-  /**
-   * Returns what needs the operator's attention, the most urgent first. An item's key stays the same while it is about the same
-   * thing, though its numbers change.
-   * @param {number} now @param {boolean} isConnected
-   */
-  attention(now, isConnected) {
-    /** @type {{rank: number, robot: number | null, text: string, key: string}[]} */
-    const items = [];
-    const addOfFleet = (/** @type {number} */ rank, /** @type {string} */ kind, /** @type {string} */ text) => {
-      items.push({ rank, robot: null, text, key: kind });
-    };
-    if (!isConnected) addOfFleet(0, "connection", "no connection to the bridge");
-    if (this.isStopped) addOfFleet(1, "stop", "emergency stop is set");
-    const offer = this.figures.room_offer;
-    if (offer) addOfFleet(2, "room", `${offer.address} offers its room as the world: at the laptop, mr-slam room accept or refuse`);
-    for (const robot of this.robots.values()) {
-      const add = (/** @type {number} */ rank, /** @type {string} */ kind, /** @type {string} */ text) => {
-        items.push({ rank, robot: robot.number, text, key: `${kind} ${robot.number}` });
-      };
-      const age = robot.scanAge(now);
-      const { slam, is_merged: isMerged, is_map_old: isMapOld, map_age_s: mapAge } = robot.figures;
-      if (slam === "lost" || slam === "relocalizing") add(2, "lost", `SLAM is ${slam}`);
-      if (age === null) add(3, "scan", "no scan yet");
-      else if (age > STALE_S) add(3, "scan", `no scan for ${age.toFixed(0)} s`);
-      const { state, reason } = robot.navigation ?? {};
-      if (state === "failed") add(3, "goal", `its goal was given up: ${reason}`);
-      if (state === "blocked") add(4, "way", `its way is blocked: ${reason}`);
-      if (slam === "paused") add(2, "paused", "SLAM is paused: nothing is mapped");
-      if (slam === "unconfirmed") add(3, "unconfirmed", "its scans have not confirmed the pose that it was given");
-      if (slam === "unreliable") add(2, "unreliable", "its map may be wrong");
-      if (slam === "degenerate") add(4, "degenerate", "SLAM is degenerate");
-      if (isMapOld === true) add(3, "map", `its part of the map is ${mapAge.toFixed(0)} s old`);
-      const { jump } = robot;
-      if (jump && now - jump.at < JUMP_SHOWN_S) add(3, `jump ${jump.count}`, describeJump(jump));
-      const idleS = robot.idleS(now);
-      if (idleS > IDLE_S && this.figures.is_replay !== true) add(6, "idle", `stands without a goal for ${Math.floor(idleS / 60)} min`);
-      if (isMerged === false) add(5, "merge", "its map is not merged");
-    }
-    for (const edge of this.edges.filter(({ state }) => state === "dropped")) {
-      const [robot, other] = robotsOf(edge);
-      const text = `its map is no longer joined with that of ${other}: they contradict each other`;
-      items.push({ rank: 4, robot, text, key: `edge ${robot} ${other}` });
-    }
-    for (const edge of this.edges.filter(({ contradicted }) => contradicted)) {
-      const [robot, other] = robotsOf(edge);
-      const places = `${edge.contradicted_submaps} of ${edge.compared_submaps} places`;
-      items.push({ rank: 2, robot, text: `its map and that of ${other} contradict each other in ${places}: one is deformed, or lies wrong`, key: `bent ${robot} ${other}` });
-    }
-    for (const robot of this.contradictedStarts.map(numberOf)) {
-      items.push({ rank: 4, robot, text: "its given start contradicts the maps: its place comes from the maps", key: `start ${robot}` });
-    }
-    if (this.exploration?.state === "failed") addOfFleet(3, "exploration", `exploration failed: ${this.exploration.reason}`);
-    return items.sort((a, b) => a.rank - b.rank || (a.robot ?? 0) - (b.robot ?? 0));
-  }
+  /** Returns what needs the operator's attention, the most urgent first. @param {number} now @param {boolean} isConnected */
+  attention(now, isConnected) { return attentionOf(this, now, isConnected); }
 }
 
-/** @param {{m: number, rad: number}} jump */
-function describeJump({ m, rad }) {
-  return `its pose jumped by ${m.toFixed(1)} m and ${(rad * 180 / Math.PI).toFixed(0)}°: look whether its map fits`;
-}
+/** Returns whether a correction is more than the usual ones. @param {Pose} by */
+function isJump(by) { return Math.hypot(by.x, by.y) > JUMP.m || Math.abs(wrap(by.yaw)) > JUMP.rad; }

@@ -1,9 +1,13 @@
 // A connection to the bridge: the Foxglove WebSocket protocol, with messages in ROS 2's encoding.
 
+import { RunClock } from "./clock.js";
+
 /** Names of the protocol, the preferred first. */
 const PROTOCOLS = ["foxglove.sdk.v1.1", "foxglove.sdk.v1"];
 /** First byte of a message on a subscription, and of one that a client publishes. */
 const MESSAGE = 1;
+/** First byte of a message that says when it was sent: the bridge refuses it if it comes late. */
+const TIMED_MESSAGE = 128;
 /** Bytes before the payload: kind, subscription, time. */
 const MESSAGE_HEADER_BYTES = 13;
 /** Pause before the next attempt to connect, ms: the first after a connection that lasted, and at most. It doubles with each attempt that fails. */
@@ -15,6 +19,8 @@ const LASTED_MS = 1000;
 const CONNECT_MAX_MS = 2000;
 /** The parameter with the run's time, seconds. */
 const TIME_PARAMETER = "/mr_slam/time";
+/** The parameter with the bridge's own time, seconds. */
+const CLOCK_PARAMETER = "/mr_slam/clock";
 /** A connection on which nothing comes for so long is closed and opened again, ms: the bridge answers once a second. */
 const SILENCE_MAX_MS = 5000;
 /** Commands are not sent while so many bytes wait: they would arrive too late. */
@@ -59,6 +65,8 @@ export class Connection {
     this.begunAt = 0;
     /** The question for the run's time that is not answered yet. @type {{id: string, at: number} | null} */
     this.asked = null;
+    /** The bridge's own clock, as this connection knows it. */
+    this.clock = new RunClock();
     this.connect();
   }
 
@@ -105,7 +113,7 @@ export class Connection {
       this.closed();
     } else if (!this.asked) {
       this.asked = { id: `time ${this.nextId++}`, at: now };
-      this.sendJson({ op: "getParameters", parameterNames: [TIME_PARAMETER], id: this.asked.id });
+      this.sendJson({ op: "getParameters", parameterNames: [TIME_PARAMETER, CLOCK_PARAMETER], id: this.asked.id });
     }
   }
 
@@ -116,6 +124,7 @@ export class Connection {
     this.isOpen = true;
     this.heardAt = performance.now();
     this.asked = null;
+    this.clock.reset();
     this.run = null;
     this.channels.clear();
     for (const subscription of this.subscriptions.values()) subscription.isSent = false;
@@ -148,14 +157,23 @@ export class Connection {
     } else if (message.op === "status") {
       this.handlers.status?.(message.level, message.message);
     } else if (message.op === "parameterValues" && this.asked && this.asked.id === message.id) {
-      const value = message.parameters[0]?.value;
-      if (typeof value === "number") this.handlers.time?.(this.asked.at, performance.now(), value);
+      const { at } = this.asked;
       this.asked = null;
+      this.receiveTimes(at, performance.now(), message.parameters);
     } else if (message.op === "parameterValues") {
       for (const { name, value } of message.parameters) this.handlers.parameter?.(name, value);
     }
     if (message.op === "advertise" || message.op === "unadvertise") {
       this.handlers.topics?.([...this.channels.values()]);
+    }
+  }
+
+  /** Takes the bridge's answer to the question for its times. @param {number} askedAt @param {number} answeredAt ms of the page @param {{name: string, value: any}[]} parameters */
+  receiveTimes(askedAt, answeredAt, parameters) {
+    for (const { name, value } of parameters) {
+      if (typeof value !== "number") continue;
+      if (name === CLOCK_PARAMETER) this.clock.add(askedAt / 1000, answeredAt / 1000, value);
+      else if (name === TIME_PARAMETER) this.handlers.time?.(askedAt, answeredAt, value);
     }
   }
 
@@ -219,21 +237,32 @@ export class Connection {
   /**
    * Publishes a message. Returns false if it cannot be sent now; it is not sent later.
    * @param {string} topic @param {string} schemaName @param {Uint8Array} payload
-   * @param {boolean} [isUrgent] send it whatever waits: it is worth sending late too
+   * @param {boolean} [isLateWorthy] send it whatever waits, and let the bridge take it however late it comes. Any other message
+   * carries the time of its sending: the bridge refuses it if it comes late.
    */
-  publish(topic, schemaName, payload, isUrgent = false) {
+  publish(topic, schemaName, payload, isLateWorthy = false) {
     let publication = this.publications.get(topic);
     if (!publication) {
       publication = { id: this.nextId++, schemaName, isSent: false };
       this.publications.set(topic, publication);
     }
-    if (!this.isOpen || !this.socket || (!isUrgent && this.socket.bufferedAmount > WAITING_MAX)) return false;
+    if (!this.isOpen || !this.socket) return false;
+    const sentAt = isLateWorthy ? null : this.clock.toBridge(performance.now() / 1000);
+    if (!isLateWorthy && (sentAt === null || this.socket.bufferedAmount > WAITING_MAX)) return false;
     if (!publication.isSent) this.sendAdvertise(topic, publication);
-    const message = new Uint8Array(5 + payload.length);
-    new DataView(message.buffer).setUint32(1, publication.id, true);
-    message[0] = MESSAGE;
-    message.set(payload, 5);
-    this.socket.send(message);
+    this.socket.send(clientMessage(publication.id, sentAt, payload));
     return true;
   }
+}
+
+/** Returns a message for the bridge. @param {number} id of the publication @param {number | null} sentAt when it is sent, seconds of the bridge, or null not to say so @param {Uint8Array} payload */
+function clientMessage(id, sentAt, payload) {
+  const headerBytes = sentAt === null ? 5 : 13;
+  const message = new Uint8Array(headerBytes + payload.length);
+  const view = new DataView(message.buffer);
+  view.setUint8(0, sentAt === null ? MESSAGE : TIMED_MESSAGE);
+  view.setUint32(1, id, true);
+  if (sentAt !== null) view.setBigUint64(5, BigInt(Math.max(0, Math.round(sentAt * 1e9))), true);
+  message.set(payload, headerBytes);
+  return message;
 }

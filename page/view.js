@@ -90,7 +90,7 @@ export class View {
     this.zones?.draw(context, camera, colours);
     this.drawMetres(colours);
     const robots = [...fleet.robots.values()].sort((a, b) => Number(a.number === selected) - Number(b.number === selected));
-    robots.forEach((robot) => this.drawTrail(robot));
+    robots.filter((robot) => fleet.isPlaced(robot)).forEach((robot) => this.drawTrail(robot));
     robots.forEach((robot) => this.drawScan(robot, now, colours));
     this.drawPlacesLeft(fleet, colours);
     robots.forEach((robot) => drawGoal(context, camera, robot, fleet));

@@ -1,9 +1,11 @@
 // Mixed reality: the fleet on the real floor, its panels in the room, and the operator's hands.
 
-import { alignMap, pointFromXr, pointToXr, poseFromXr, xrFromFrame } from "./coordinates.js";
-import { compose, invert, transform } from "./geometry.js";
-import { facing, multiply, rotationAboutY, transformDirection, transformPoint, translation } from "./matrix.js";
+import { pointFromXr, pointToXr, poseFromXr, xrFromFrame } from "./coordinates.js";
+import { invert, transform } from "./geometry.js";
+import { facing, transformDirection, transformPoint } from "./matrix.js";
+import { Alignment } from "./xr_alignment.js";
 import { KeptAnchor } from "./xr_anchors.js";
+import { commandsOf } from "./xr_commands.js";
 import { HapticAlerts } from "./xr_haptics.js";
 import { Controls, isDrivingHand, rayOf } from "./xr_input.js";
 import { FleetPanel, RobotPanel } from "./xr_panels.js";
@@ -21,16 +23,7 @@ import { RobotView, tablePlacement } from "./xr_views.js";
 /** @typedef {import("./xr_input.js").Ray} Ray */
 /** @typedef {[number, number, number]} Vector */
 
-/**
- * What the page lets mixed reality do. @typedef {object} Operator
- * @property {Fleet} fleet @property {() => number | null} selected @property {(number: number | null) => void} select
- * @property {(step: number) => void} selectNext @property {() => void} stop @property {() => void} release
- * @property {() => void} takeOver @property {() => boolean} isConnected
- * @property {() => boolean} isStopUnconfirmed @property {() => boolean} mustLetGo whether what is held drives only after it was let go
- * @property {() => boolean} isRefused whether something is held and somebody else drives the robot @property {(text: string, isError?: boolean) => void} log
- * @property {() => number} now seconds
- * @property {(point: {x: number, y: number}) => void} floorSelected a point of `map` was pointed at: for goals
- */
+/** @typedef {import("./xr_commands.js").Operator} Operator */
 
 /** Time that a device has to restore the anchors of an earlier session before the page goes on, ms. */
 const RESTORE_MS = 3000;
@@ -51,7 +44,9 @@ export class MixedReality {
     this.xr = null;
     /** What has failed lately. @type {{text: string, until: number} | null} */
     this.warning = null;
-    this.mapAnchor = new KeptAnchor("map");
+    this.alignment = new Alignment(operator.fleet);
+    /** Whether it is known where the map lies in this room. */
+    this.isAligned = false;
     this.panelAnchor = new KeptAnchor("panel");
     this.controls = new Controls({
       next: () => operator.selectNext(1), previous: () => operator.selectNext(-1),
@@ -63,8 +58,6 @@ export class MixedReality {
     this.table = null;
     /** The view from a robot, if it is shown, and where the map is then. @type {{view: RobotView, placement: Placement} | null} */
     this.fromRobot = null;
-    /** The steps of an alignment that is under way. @type {{inMap: Pose, name: string, place: Vector | null} | null} */
-    this.alignment = null;
     this.notice = "";
     this.roomSender = new RoomSender((text) => { this.notice = text; });
     /** @type {Map<number, RobotPanel>} */
@@ -79,15 +72,18 @@ export class MixedReality {
 
   /** Begins a session. */
   async start() {
+    /** @type {any} */
+    let session = null;
     try {
-      const session = await requestSession();
+      session = await requestSession();
       let hasEnded = false;
       const xr = await XrSession.begin(session, {
+        input: () => this.controls.readButtons(session), moved: () => this.floorMoved(),
         update: (frame, viewer) => this.update(frame, viewer), draw: () => this.draw(),
         ended: () => { hasEnded = true; this.ended(); }, failed: (error) => this.operator.log(`mixed reality: ${error.message}`, true),
       });
       // Devices restore anchors while frames are drawn: nothing is shown until they have, or take too long.
-      const restored = Promise.all([this.mapAnchor.restore(session), this.panelAnchor.restore(session)]);
+      const restored = Promise.all([this.alignment.anchor.restore(session), this.panelAnchor.restore(session)]);
       await Promise.race([restored, new Promise((resolve) => { setTimeout(resolve, RESTORE_MS); })]);
       if (hasEnded) return;
       this.scene = new Scene(xr.renderer);
@@ -101,15 +97,24 @@ export class MixedReality {
       this.changed(true);
     } catch (error) {
       this.operator.log(`mixed reality cannot start: ${/** @type {Error} */ (error).message}`, true);
+      // One that has begun would stay empty before the operator's eyes.
+      session?.end().catch(() => {});
     }
   }
 
   ended() {
     this.xr = null;
     this.showLifeSize();
-    this.alignment = null;
-    this.controls.mustOpenGrip = true;
+    this.alignment.cancel();
+    this.controls.release();
     this.changed(false);
+  }
+
+  /** The headset's floor has other coordinates, as after "reset view": what was fixed in the old ones is put anew. */
+  floorMoved() {
+    [this.alignment.anchor, this.panelAnchor].forEach((anchor) => anchor.forgetFixed());
+    this.alignment.cancel();
+    this.showLifeSize();
   }
 
   /** Returns what the thumbstick says, or null outside of a session. */
@@ -130,9 +135,10 @@ export class MixedReality {
     const eye = /** @type {Vector} */ ([matrix[12], matrix[13], matrix[14]]);
     const gaze = transformDirection(matrix, [0, 0, -1]);
     this.controls.update(xr.session, frame, xr.space, now, poseFromXr(matrix).yaw);
-    this.roomSender.update(frame, xr.space, fleet.runs, this.mapAnchor);
-    const anchor = this.mapAnchor.matrix(frame, xr.space);
-    if (anchor) this.placement.pose = compose(poseFromXr(anchor), invert(this.mapAnchor.data ?? { x: 0, y: 0, yaw: 0 }));
+    this.roomSender.update(frame, xr.space, fleet.runs, this.alignment);
+    const aligned = this.alignment.pose(frame, xr.space);
+    this.isAligned = aligned !== null;
+    if (aligned) this.placement.pose = aligned;
     this.viewerPose = poseFromXr(matrix);
     this.eyeHeight = eye[1];
     this.updateRobotView();
@@ -146,10 +152,14 @@ export class MixedReality {
   /** Forgets what was begun with a run that has ended, and the robots that the fleet no longer has. */
   followRun() {
     const { runs, robots } = this.operator.fleet;
-    for (const number of this.robotPanels.keys()) if (!robots.has(number)) this.robotPanels.delete(number);
+    for (const [number, panel] of this.robotPanels) {
+      if (robots.has(number)) continue;
+      panel.dispose();
+      this.robotPanels.delete(number);
+    }
     if (runs === this.run) return;
     this.run = runs;
-    this.alignment = null;
+    this.alignment.cancel();
     this.showLifeSize();
   }
 
@@ -188,7 +198,7 @@ export class MixedReality {
       const isConnected = this.operator.isConnected();
       const text = this.noticeText(isConnected);
       const items = fleet.attention(now, isConnected);
-      fleetPanel.show(fleet, now, { text, isGood: isConnected && !this.alignment && !fleet.isStopped }, items, this.commands(), this.operator.select);
+      fleetPanel.show(fleet, now, { text, isGood: isConnected && !this.alignment.steps && !this.mustAlign && !fleet.isStopped }, items, commandsOf(this), this.operator.select);
     }
     const ahead = fleetPanel.hit(eye, gaze) ? null : gaze;
     for (const robot of fleet.robots.values()) this.updateRobotPanel(robot, eye, ahead, now, isDue);
@@ -196,8 +206,11 @@ export class MixedReality {
 
   /** @param {Robot} robot @param {Vector} eye @param {Vector | null} gaze @param {number} now @param {boolean} isDue */
   updateRobotPanel(robot, eye, gaze, now, isDue) {
-    if (!robot.pose || !this.xr || !this.xrFromMap) return;
     let panel = this.robotPanels.get(robot.number);
+    if (!robot.pose || !this.xr || !this.xrFromMap) {
+      if (panel) panel.matrix = null;
+      return;
+    }
     if (!panel) {
       panel = new RobotPanel(this.xr.renderer);
       this.robotPanels.set(robot.number, panel);
@@ -222,30 +235,18 @@ export class MixedReality {
   noticeText(/** @type {boolean} */ isConnected) {
     if (this.operator.isStopUnconfirmed()) return "the emergency stop is not confirmed";
     if (!isConnected) return "no connection: you drive nothing, robots with goals drive on";
-    if (this.alignment) return this.alignment.place ? `point straight ahead of ${this.alignment.name}` : `point where ${this.alignment.name} stands`;
+    const { steps } = this.alignment;
+    if (steps) return steps.place ? `point straight ahead of ${steps.name}` : `point where ${steps.name} stands`;
     if (this.operator.fleet.isStopped) return "emergency stop is set";
     if (this.operator.isRefused()) return "somebody else drives this robot: take it over";
     if (this.operator.mustLetGo()) return "let go, and hold again to drive";
     if (this.warning && this.operator.now() < this.warning.until) return this.warning.text;
+    if (this.mustAlign) return "align the map: where it lies in this room is not known";
     return this.notice || "connected";
   }
 
-  /** The buttons of the fleet's panel. @returns {import("./xr_panels.js").Command[]} */
-  commands() {
-    const { operator, operator: { fleet } } = this;
-    const robot = fleet.robots.get(operator.selected() ?? -1);
-    const isOthers = robot?.figures.driver && !robot.figures.is_mine;
-    return [
-      fleet.isStopped
-        ? { text: "Release stop", press: operator.release, isOn: true }
-        : { text: "Stop all", press: operator.stop, isDanger: true },
-      { text: this.alignment ? "Cancel" : "Align map", press: () => this.beginAlignment(), isOn: this.alignment !== null },
-      { text: this.nextView(), press: () => this.changeView() },
-      ...(isOthers ? [{ text: "Take over", press: operator.takeOver }] : []),
-      { text: "Use my room", press: () => this.roomSender.ask() },
-      { text: "Leave", press: () => this.xr?.end() },
-    ];
-  }
+  /** Whether the map is shown in life size and nobody has said where it lies. */
+  get mustAlign() { return !this.isAligned && this.shown === this.placement; }
 
   // --- Pointing ---
 
@@ -256,13 +257,13 @@ export class MixedReality {
   panelAt(ray) { return panelAt(ray, this.panels()); }
 
   /** Returns where a ray meets the plane of the map, in WebXR. @param {Ray} ray @returns {Vector | null} */
-  planeAt(ray) { return planeAt(ray, (this.alignment ? this.placement : this.shown).height); }
+  planeAt(ray) { return planeAt(ray, (this.alignment.steps ? this.placement : this.shown).height); }
 
   /** Returns what a ray points at, to be drawn. @param {Ray} ray @returns {Pointer} */
   pointerOf(ray) {
     const panel = this.panelAt(ray);
     if (panel) return { ...ray, end: pointOn(ray, panel.hit.distance), isOnFloor: false };
-    const robot = this.alignment ? null : this.robotAt(ray);
+    const robot = this.alignment.steps ? null : this.robotAt(ray);
     if (robot) return { ...ray, end: robot.at, isOnFloor: false };
     const floor = this.planeAt(ray);
     return { ...ray, end: floor ?? pointOn(ray, RAY_M), isOnFloor: floor !== null };
@@ -276,7 +277,7 @@ export class MixedReality {
       this.panelsDue = 0;
       return;
     }
-    if (this.alignment) {
+    if (this.alignment.steps) {
       const place = this.planeAt(ray);
       if (place) this.alignTo(place, frame);
       return;
@@ -288,7 +289,8 @@ export class MixedReality {
       return;
     }
     const point = this.planeAt(ray);
-    if (point) this.operator.floorSelected(this.mapPoint(point));
+    if (point && this.mustAlign) this.warn("align the map first: where this is in it is not known");
+    else if (point) this.operator.floorSelected(this.mapPoint(point));
   }
 
   /** Returns a point of the map's plane in `map`. @param {Vector} point in WebXR */
@@ -314,31 +316,21 @@ export class MixedReality {
     const { fleet, selected } = this.operator;
     const robot = fleet.robots.get(selected() ?? fleet.robots.keys().next().value ?? -1);
     this.showLifeSize();
-    if (this.alignment || !robot?.pose) {
-      this.notice = this.alignment || robot ? "" : "there is no robot to align with";
-      this.alignment = null;
-      return;
+    if (this.alignment.steps) {
+      this.alignment.cancel();
+      this.notice = "";
+    } else if (!robot || !this.alignment.begin(robot)) {
+      this.notice = robot ? `where ${robot.name} is in the map is not known` : "there is no robot to align with";
     }
-    this.alignment = { inMap: { ...robot.pose }, name: robot.name, place: null };
   }
 
   /** Takes the next point of the alignment. @param {Vector} point on the floor @param {any} frame */
   alignTo(point, frame) {
-    const { alignment, xr } = this;
-    if (!alignment || !xr) return;
-    if (!alignment.place) {
-      alignment.place = point;
-      return;
-    }
-    const map = alignMap(alignment.inMap, alignment.place, point);
-    if (!map) return;
-    // The anchor stands where the robot was pointed at: there it is exact.
-    const { x, y, yaw } = compose(map, alignment.inMap);
-    const [ax, , az] = pointToXr([x, y, 0]);
-    this.placement = { pose: map, scale: 1, height: 0 };
-    this.mapAnchor.put(frame, xr.space, multiply(translation(ax, 0, az), rotationAboutY(yaw)), alignment.inMap);
-    this.alignment = null;
+    if (!this.xr) return;
+    const kept = this.alignment.take(point, frame, this.xr.space);
+    if (!kept) return;
     this.notice = "aligned";
+    kept.then((isKept) => { if (!isKept) this.notice = "aligned for this session: the headset does not keep it"; });
   }
 
   showLifeSize() {

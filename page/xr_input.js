@@ -14,6 +14,11 @@ const LOWER = 4;
 const UPPER = 5;
 /** The deflection of a frame counts for so long, seconds: frames stop when the headset is taken off. */
 const FRESH_S = 0.2;
+/**
+ * After so long without a frame that knows where the headset is, seconds, it was not worn: what is held drives only after it was
+ * open. Shorter gaps are those of a device that is slow for a moment.
+ */
+const UNWORN_S = 1;
 
 /** What buttons do. @typedef {{next: () => void, previous: () => void, stop: () => void, changeView: () => void}} Actions */
 
@@ -34,20 +39,40 @@ export class Controls {
     this.hand = new HandStick();
   }
 
+  /** Lets go of the grip and of the hand, until they have been open. */
+  release() {
+    this.mustOpenGrip = true;
+    this.hand.release();
+  }
+
+  /** Takes the buttons of a frame, also of one in which the headset does not know where it is: they stop robots. @param {any} session */
+  readButtons(session) {
+    if (session.visibilityState !== "visible") return;
+    const down = new Set();
+    for (const { gamepad, handedness, hand } of session.inputSources) {
+      if (!gamepad || hand) continue;
+      gamepad.buttons.forEach((/** @type {any} */ button, /** @type {number} */ i) => {
+        if (button.pressed) down.add(`${handedness} ${i}`);
+      });
+    }
+    const pressed = [...down].filter((button) => !this.down.has(button));
+    this.down = down;
+    pressed.forEach((button) => this.press(button));
+  }
+
   /**
-   * Takes the state of a frame. @param {any} session @param {any} frame @param {any} space @param {number} now seconds
+   * Takes what drives and points in a frame. @param {any} session @param {any} frame @param {any} space @param {number} now seconds
    * @param {number} [heading] where the viewer looks, radians about WebXR's y axis
    */
   update(session, frame, space, now, heading = 0) {
     this.rays = [];
     this.deflection = null;
+    if (now - this.deflectionAt > UNWORN_S) this.release();
     this.deflectionAt = now;
     if (session.visibilityState !== "visible") {
-      this.mustOpenGrip = true;
-      this.hand.release();
+      this.release();
       return;
     }
-    const down = new Set();
     /** @type {Deflection | null | undefined} */
     let byGrip;
     for (const source of session.inputSources) {
@@ -56,17 +81,12 @@ export class Controls {
       const { gamepad, handedness } = source;
       if (!gamepad || source.hand) continue;
       if (handedness === "right") byGrip = thumbstickDeflection(gamepad);
-      gamepad.buttons.forEach((/** @type {any} */ button, /** @type {number} */ i) => {
-        if (button.pressed) down.add(`${handedness} ${i}`);
-      });
     }
     this.mustOpenGrip = byGrip === undefined || (this.mustOpenGrip && byGrip !== null);
     this.deflection = this.mustOpenGrip ? null : byGrip ?? null;
     // A controller in the right hand drives before a bare left hand.
     const byHand = this.hand.update(session, frame, space, heading);
     this.deflection ??= byHand;
-    for (const button of down) if (!this.down.has(button)) this.press(button);
-    this.down = down;
   }
 
   press(/** @type {string} */ button) {

@@ -16,8 +16,11 @@ import { shapePath } from "./view.js";
 const PIXELS_PER_M = 1000;
 /** Items of attention on the fleet's panel. */
 const ITEMS_MAX = 3;
-/** Buttons in a row of the fleet's panel; there are two rows. */
+/** Buttons in a row of the fleet's panel, and rows. */
 const COMMANDS_IN_ROW = 3;
+const COMMAND_ROWS = 3;
+/** From one row of buttons to the next, pixels. */
+const COMMAND_ROW_PX = 68;
 const FONT = "system-ui, sans-serif";
 const DARK = { surface: "rgba(16,22,30,0.9)", raised: "#243040", line: "#4a5e76", text: "#f2f6fa", muted: "#a9b8c8", danger: "#d92d3a", warning: "#ffc857", good: "#5fd38d", accent: "#6cb6f5", ink: "#10151c" };
 
@@ -47,6 +50,12 @@ export class Panel {
 
   get width() { return (this.canvas.width / PIXELS_PER_M) * this.zoom; }
   get height() { return (this.canvas.height / PIXELS_PER_M) * this.zoom; }
+
+  /** Gives its texture back. */
+  dispose() {
+    this.matrix = null;
+    this.renderer.gl.deleteTexture(this.texture);
+  }
 
   /** Paints the panel if what it shows has changed. @param {string} content all that it shows @param {(context: CanvasRenderingContext2D) => void} paint */
   update(content, paint) {
@@ -201,16 +210,16 @@ export class RobotPanel extends Panel {
 /** The fleet's panel: figures, the mapped area over time, what needs attention, and the commands. */
 export class FleetPanel extends Panel {
   /** @param {Renderer} renderer */
-  constructor(renderer) { super(renderer, 720, 660); }
+  constructor(renderer) { super(renderer, 720, 524 + COMMAND_ROWS * COMMAND_ROW_PX); }
 
   /**
    * @param {Fleet} fleet @param {number} now @param {{text: string, isGood: boolean}} link
-   * @param {ReturnType<Fleet["attention"]>} items @param {Command[]} commands @param {(robot: number) => void} select
+   * @param {ReturnType<Fleet["attention"]>} items @param {(Command | null)[]} commands @param {(robot: number) => void} select
    */
   show(fleet, now, link, items, commands, select) {
     const rows = FLEET_ROWS.map(([heading, value]) => [heading, value(fleet, now)]);
     const shown = items.slice(0, ITEMS_MAX);
-    const content = [link, rows, shown, commands.map(({ text, isOn }) => [text, isOn]), fleet.area.at(-1)?.at];
+    const content = [link, rows, shown, commands.map((command) => command && [command.text, command.isOn]), fleet.area.at(-1)?.at];
     this.update(JSON.stringify(content), (context) => {
       const { width, height } = this.canvas;
       write(context, "MR-SLAM", 28, 40, "bold 32px", DARK.text);
@@ -227,8 +236,9 @@ export class FleetPanel extends Panel {
       shown.forEach((item, i) => this.paintItem(context, item, fleet, 374 + i * 44, select));
       const space = (width - 56 + 12) / COMMANDS_IN_ROW;
       commands.forEach((command, i) => {
+        if (!command) return;
         const [row, column] = [Math.floor(i / COMMANDS_IN_ROW), i % COMMANDS_IN_ROW];
-        this.paintCommand(context, command, 28 + column * space, height - 148 + row * 68, space - 12);
+        this.paintCommand(context, command, 28 + column * space, height - 12 - (COMMAND_ROWS - row) * COMMAND_ROW_PX, space - 12);
       });
     });
   }

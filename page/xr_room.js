@@ -2,6 +2,7 @@
 
 import { translation } from "./matrix.js";
 import { triangulate } from "./polygon.js";
+import { MAP } from "./state.js";
 import { KeptAnchor } from "./xr_anchors.js";
 
 /** Triangles up to which a room is offered: the bridge takes 16 MB, and a scanned room has a tenth of that. */
@@ -88,8 +89,8 @@ export class RoomSender {
   /** Sends the room with the next frame. */
   ask() { this.isAsked = true; }
 
-  /** @param {any} frame @param {any} space @param {number} runs number of the present run @param {KeptAnchor} mapAnchor */
-  update(frame, space, runs, mapAnchor) {
+  /** @param {any} frame @param {any} space @param {number} runs number of the present run @param {import("./xr_alignment.js").Alignment} alignment */
+  update(frame, space, runs, alignment) {
     if (this.isAsked) {
       this.isAsked = false;
       this.send(frame, space, runs);
@@ -97,7 +98,7 @@ export class RoomSender {
     if (this.sentIn === null || this.sentIn === runs) return;
     this.sentIn = null;
     const matrix = this.anchor.matrix(frame, space);
-    if (matrix) mapAnchor.put(frame, space, matrix, MAP_IN_ROOM);
+    if (matrix) alignment.put(frame, space, matrix, MAP, MAP_IN_ROOM);
     this.show("the robots are in your room");
   }
 

@@ -76,6 +76,8 @@ class RobotDrawables {
     this.plan = renderer.createMesh({ vertices: new Float32Array(0), count: 0 });
     /** @type {unknown} */
     this.shownPlan = null;
+    /** Where the plan's frame was when it was shown. */
+    this.planAt = "";
   }
 }
 
@@ -90,6 +92,8 @@ export class Scene {
     this.ray = renderer.createMesh(ray());
     this.map = renderer.createTexture(renderer.gl.TEXTURE_2D, renderer.gl.LINEAR_MIPMAP_LINEAR);
     this.shownMap = 0;
+    /** Whether the texture holds the map: not one that is too large for it. */
+    this.hasMap = false;
     this.seen = renderer.createTexture(renderer.gl.TEXTURE_2D, renderer.gl.LINEAR_MIPMAP_LINEAR);
     /** The layer of colours that is shown. @type {import("./seen.js").Layer | null} */
     this.shownSeen = null;
@@ -101,6 +105,11 @@ export class Scene {
   update(fleet, now) {
     if (fleet.merged.version !== this.shownMap) this.updateMap(fleet);
     if (fleet.seen !== this.shownSeen) this.updateSeen(fleet.seen);
+    for (const [number, drawables] of this.robots) {
+      if (fleet.robots.has(number)) continue;
+      [drawables.scan, drawables.trail, drawables.plan].forEach((drawable) => this.renderer.delete(drawable));
+      this.robots.delete(number);
+    }
     for (const robot of fleet.robots.values()) {
       let drawables = this.robots.get(robot.number);
       if (!drawables) {
@@ -111,15 +120,20 @@ export class Scene {
         drawables.shownScan = robot.scan;
         this.renderer.update(drawables.scan, scanPoints(robot), 3);
       }
-      const last = robot.trail.at(-1);
+      // A trail that is laid elsewhere has other points, and one of a robot that is not in the map is not shown.
+      const trail = fleet.isPlaced(robot) ? robot.trail : [];
+      const last = trail.at(-1);
       if (last !== drawables.shownTrail && now - drawables.trailAt >= TRAIL_PERIOD_S) {
         drawables.shownTrail = last;
         drawables.trailAt = now;
-        this.renderer.update(drawables.trail, ribbon(robot.trail, TRAIL_WIDTH_M).vertices, VERTEX_NUMBERS);
+        this.renderer.update(drawables.trail, ribbon(trail, TRAIL_WIDTH_M).vertices, VERTEX_NUMBERS);
       }
+      // A plan is in the robot's map: it lies elsewhere when that map does.
       const plan = hasGoal(robot) ? robot.plan : null;
-      if (plan !== drawables.shownPlan) {
-        drawables.shownPlan = plan;
+      const at = plan && fleet.find(plan.frame);
+      const key = plan && at ? `${at.x} ${at.y} ${at.yaw}` : "";
+      if (plan !== drawables.shownPlan || key !== drawables.planAt) {
+        Object.assign(drawables, { shownPlan: plan, planAt: key });
         this.renderer.update(drawables.plan, ribbon(planInMap(robot, fleet) ?? [], PLAN_WIDTH_M).vertices, VERTEX_NUMBERS);
       }
     }
@@ -131,15 +145,17 @@ export class Scene {
     this.shownMap = merged.version;
     const { gl } = this.renderer;
     const map = merged.grid;
-    if (!map || map.width === 0 || Math.max(map.width, map.height) > gl.getParameter(gl.MAX_TEXTURE_SIZE)) return;
+    const hadMap = this.hasMap;
+    this.hasMap = map !== null && map.width > 0 && Math.max(map.width, map.height) <= gl.getParameter(gl.MAX_TEXTURE_SIZE);
+    if (!map || !this.hasMap) return;
     gl.bindTexture(gl.TEXTURE_2D, this.map);
     gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
-    for (const area of areas ?? [{ x: 0, y: 0, width: map.width, height: map.height }]) {
+    for (const area of (hadMap && areas) || [{ x: 0, y: 0, width: map.width, height: map.height }]) {
       const { x, y, width, height } = area;
       const pixels = new Uint32Array(width * height);
       colourCells(map, area, pixels, FREE_PIXEL, OCCUPIED_PIXEL);
       const bytes = new Uint8Array(pixels.buffer);
-      if (areas) gl.texSubImage2D(gl.TEXTURE_2D, 0, x, y, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+      if (hadMap && areas) gl.texSubImage2D(gl.TEXTURE_2D, 0, x, y, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
       else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
     }
     gl.generateMipmap(gl.TEXTURE_2D);
@@ -169,7 +185,7 @@ export class Scene {
 
   /** @param {Fleet} fleet @param {Matrix} xrFromMap */
   drawMap({ map, seen }, xrFromMap) {
-    if (!map || map.width === 0 || this.shownMap === 0) return;
+    if (!map || map.width === 0 || !this.hasMap) return;
     this.drawRaster(this.map, map, MAP_HEIGHT_M, xrFromMap);
     if (seen) this.drawRaster(this.seen, seen, SEEN_HEIGHT_M, xrFromMap);
   }

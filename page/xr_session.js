@@ -67,6 +67,8 @@ class RoomMesh {
 
 /**
  * @typedef {object} Handlers
+ * @property {() => void} moved the floor has other coordinates
+ * @property {() => void} input at the beginning of each frame, wherever the headset is
  * @property {(frame: any, viewer: any) => void} update before the views of a frame
  * @property {() => void} draw one view, which the renderer has begun
  * @property {() => void} ended @property {(error: Error) => void} failed
@@ -88,7 +90,11 @@ export class XrSession {
     const hasDepth = session.enabledFeatures?.includes("depth-sensing") ?? true;
     const Binding = /** @type {any} */ (globalThis).XRWebGLBinding;
     this.binding = hasDepth && Binding ? new Binding(session, renderer.gl) : null;
-    session.addEventListener("end", handlers.ended);
+    session.addEventListener("end", () => {
+      handlers.ended();
+      renderer.dispose();
+    });
+    space.addEventListener?.("reset", handlers.moved);
     renderer.gl.canvas.addEventListener("webglcontextlost", () => this.end());
     session.requestAnimationFrame(this.frame);
   }
@@ -121,6 +127,7 @@ export class XrSession {
 
   /** @param {any} frame */
   drawFrame(frame) {
+    this.handlers.input();
     const viewer = frame.getViewerPose(this.space);
     const layer = this.session.renderState.baseLayer;
     this.renderer.begin(layer.framebuffer);

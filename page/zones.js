@@ -48,7 +48,7 @@ export class ZoneTool {
   /**
    * @param {object} of
    * @param {() => Zone[]} of.zones
-   * @param {(topic: string, type: string, payload: Uint8Array, isUrgent: boolean) => void} of.publish
+   * @param {(topic: string, type: string, payload: Uint8Array, isLateWorthy?: boolean) => void} of.publish
    * @param {(isOn: boolean) => void} of.show
    */
   constructor(of) {
@@ -90,7 +90,7 @@ export class ZoneTool {
       return;
     }
     const zone = this.of.zones().findLast((candidate) => contains(candidate, to));
-    if (zone) this.of.publish("/exclusion_zones/remove", "std_msgs/msg/Int32", writeInt(zone.number), true);
+    if (zone) this.of.publish("/exclusion_zones/remove", "std_msgs/msg/Int32", writeInt(zone.number));
   }
 
   /** @param {CanvasRenderingContext2D} context @param {import("./geometry.js").Camera} camera @param {{alarm: string}} colours */

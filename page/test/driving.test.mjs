@@ -6,13 +6,13 @@ import { Driving } from "../driving.js";
 import { Fleet } from "../state.js";
 
 /** A gamepad whose dead man's switch is held and whose stick is pushed forward. */
-const HELD_PAD = { axes: [0, -1], buttons: Array.from({ length: 8 }, () => ({ pressed: true })) };
+const HELD_PAD = { mapping: "standard", index: 0, id: "pad", axes: [0, -1], buttons: Array.from({ length: 8 }, () => ({ pressed: true })) };
 
 /** Driving of one robot in a browser of the test's: with or without a connection, focus and a gamepad. */
 function page() {
   const state = { isConnected: true, isStopped: false, driver: null, hasFocus: true, pad: null, headset: null };
   Object.defineProperty(globalThis, "document", { value: { hasFocus: () => state.hasFocus }, configurable: true });
-  Object.defineProperty(globalThis, "navigator", { value: { getGamepads: () => [state.pad] }, configurable: true });
+  Object.defineProperty(globalThis, "navigator", { value: { getGamepads: () => (Array.isArray(state.pad) ? state.pad : [state.pad]) }, configurable: true });
   const fleet = new Fleet();
   const robot = (prefix) => fleet.setFigures({ robots: [{ number: 1, prefix, linear_max_m_s: 0.15, angular_max_rad_s: 1.5 }] }, 0);
   robot("/robot1/");
@@ -156,4 +156,37 @@ test("a refusal ends a takeover, and a takeover that succeeded is over", () => {
   assert.ok(driving.tick().linear > 0);
   state.driver = "other";
   assert.equal(driving.tick().linear, 0, "somebody has taken it back");
+});
+
+/** A gamepad that is held, or let go. */
+const pad = (index, isHeld, mapping = "standard") => ({ ...HELD_PAD, index, id: `pad ${index}`, mapping, buttons: HELD_PAD.buttons.map(() => ({ pressed: isHeld })) });
+
+test("a gamepad whose buttons the browser does not know drives nothing, and hides none that it knows", () => {
+  const { state, driving } = page();
+  state.pad = [pad(0, false, "")];
+  driving.tick();
+  state.pad = [pad(0, true, "")];
+  assert.equal(driving.tick().linear, 0, "which button is the dead man's switch is not known");
+  state.pad = [pad(0, true, ""), null, pad(1, false)];
+  driving.tick();
+  driving.tick();
+  state.pad = [pad(0, true, ""), null, pad(1, true)];
+  assert.ok(driving.tick().linear > 0);
+});
+
+test("what a gamepad holds when it takes the place of another one must be let go", () => {
+  const { state, driving } = page();
+  const hold = (...pads) => {
+    state.pad = pads;
+    return driving.tick().linear;
+  };
+  for (const [others, next] of [[[pad(0, true)], [pad(1, true)]], [[pad(0, true), pad(1, false)], [pad(0, false), pad(1, true)]]]) {
+    hold(...others.map(({ index }) => pad(index, false)));
+    hold(...others.map(({ index }) => pad(index, false)));
+    assert.ok(hold(...others) > 0);
+    assert.equal(hold(...next), 0);
+    assert.equal(hold(...next), 0, "it stays so");
+    hold(...next.map(({ index }) => pad(index, false)));
+    assert.ok(hold(...next) > 0);
+  }
 });

@@ -53,3 +53,12 @@ test("a distance is measured from press to release, and switching off removes it
   tool.toggle();
   assert.deepEqual([tool.length(), shown], [null, [true, false]]);
 });
+
+test("an edge without measurements, as one that was pinned before maps overlap, is shown without them", () => {
+  const unmeasured = { ...EDGE, state: "pinned", occupied_f1: null, null_f1_max: null, overlap_m2: null, residual_m: null };
+  const { edges } = readEdges(text(JSON.stringify({ edges: [unmeasured, null, 7, { a: 1, b: "robot2", state: "accepted" }, EDGE] })));
+  assert.equal(edges.length, 2, "what is no edge is left out");
+  assert.deepEqual(edges.map((edge) => describeEdge(edge).evidence), [
+    "walls agree –, by chance – · – shared · – apart · 3 closures", "walls agree 83 %, by chance 30 % · 12.3 m² shared · 24 mm apart · 3 closures",
+  ]);
+});

@@ -50,3 +50,13 @@ test("a key of the map's cursor drives nothing, and Escape stops all the same", 
   assert.deepEqual(down("ArrowUp"), []);
   assert.deepEqual(down("Escape"), [["stop"]]);
 });
+
+test("in the panels beside the map arrows scroll, and letters drive all the same", () => {
+  const { down } = keyboard();
+  const within = (...selectors) => ({ closest: (of) => (selectors.some((selector) => of.includes(selector)) ? {} : null) });
+  for (const code of ["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"]) {
+    assert.deepEqual(down(code, { target: within("aside") }), []);
+    assert.deepEqual(down(code, { target: within() }), [["press", code, false]]);
+  }
+  assert.deepEqual(down("KeyW", { target: within("aside") }), [["press", "KeyW", false]]);
+});

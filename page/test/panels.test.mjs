@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { format, percent } from "../panels.js";
+import { format, percent } from "../format.js";
 
 test("what is not known is a dash and never a zero", () => {
   for (const unknown of [null, undefined, NaN, Infinity]) {

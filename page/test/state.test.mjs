@@ -15,7 +15,7 @@ const FIGURES = {
 };
 
 /** A message of one transform. */
-function transform(parent, child, x, y) {
+function transform(parent, child, x, y, stamp = 1) {
   const message = new CdrWriter();
   const u32 = (value) => message.number(4, (view) => view.setUint32(0, value, true));
   const string = (text) => {
@@ -23,7 +23,7 @@ function transform(parent, child, x, y) {
     message.bytes.push(...new TextEncoder().encode(`${text}\0`));
   };
   u32(1);
-  message.i32(1);
+  message.i32(stamp);
   u32(0);
   string(parent);
   string(child);
@@ -196,4 +196,82 @@ test("robots that the fleet no longer has are gone, and one of another name is a
   assert.deepEqual(fleet.setFigures({ robots: [FIGURES.robots[1]] }, 2).gone, [alice]);
   assert.deepEqual([...fleet.robots.keys()], [2]);
   assert.ok(fleet.attention(100, true).every(({ robot }) => robot !== 1));
+});
+
+/** A fleet whose first robot has a map of its own in the merged map. */
+function fleetWithOwnMap() {
+  const fleet = new Fleet();
+  fleet.setFigures(FIGURES, 0);
+  fleet.robots.get(1).baseFrame = "base_footprint_1";
+  /** Takes the links of a time: that of the robot's map, if it is given. */
+  const at = (stamp, map, x = 0) => {
+    if (map !== null) fleet.receive("/tf", transform("map", "map_1", map, 0, stamp), stamp);
+    fleet.receive("/tf", transform("map_1", "odom_1", 0, 0, stamp), stamp);
+    fleet.receive("/tf", transform("odom_1", "base_footprint_1", x, 0, stamp), stamp);
+  };
+  return { fleet, robot: fleet.robots.get(1), at };
+}
+
+test("a robot whose map is no longer in the merged map becomes stale, and what is in its map has no place", () => {
+  const { fleet, robot, at } = fleetWithOwnMap();
+  at(1, 5);
+  assert.deepEqual(robot.pose, { x: 5, y: 0, yaw: 0 });
+  for (let stamp = 2; stamp <= 6; stamp += 1) at(stamp, null, stamp);
+  assert.equal(robot.isStale(6), false, "the link is repeated once a second");
+  for (let stamp = 7; stamp <= 9; stamp += 1) at(stamp, null, stamp);
+  assert.equal(robot.isStale(9), true);
+  assert.deepEqual([fleet.isPlaced(robot), fleet.placeIn("map_1"), fleet.placeIn("map") !== null], [false, null, true]);
+  at(10, 5, 10);
+  assert.deepEqual([robot.isStale(10), fleet.isPlaced(robot)], [false, true]);
+});
+
+test("a fixed link is valid for ever, and times of others' frames make none old", () => {
+  const { fleet, robot, at } = fleetWithOwnMap();
+  fleet.receive("/tf_static", transform("base_footprint_1", "base_scan_1", 1, 0, 0), 1);
+  at(1000, 5);
+  fleet.receive("/tf", transform("world", "camera", 0, 0, 2_000_000_000), 1000);
+  at(1001, null);
+  assert.equal(robot.isStale(1001), false);
+  assert.deepEqual(fleet.placeIn("base_scan_1")({ x: 0, y: 0, yaw: 0 }), { x: 6, y: 0, yaw: 0 });
+});
+
+test("a trail moves with the map that it was driven in", () => {
+  const { robot, at } = fleetWithOwnMap();
+  at(1, 5);
+  at(2, 5, 1);
+  assert.deepEqual(robot.trail, [{ x: 5, y: 0 }, { x: 6, y: 0 }]);
+  at(3, 7, 1);
+  assert.deepEqual(robot.trail.slice(0, 2), [{ x: 7, y: 0 }, { x: 8, y: 0 }]);
+});
+
+test("the frame of the map is another one when all maps in it have jumped, or none of them was in it before", () => {
+  const { fleet, at } = fleetWithOwnMap();
+  at(1, 5);
+  at(2, 5.1);
+  assert.equal(fleet.mapFrames, 1, "a correction of centimetres");
+  at(3, 8);
+  assert.equal(fleet.mapFrames, 2);
+  fleet.receive("/tf", transform("map", "map_2", 0, 0, 4), 4);
+  assert.equal(fleet.mapFrames, 3);
+  fleet.receive("/tf", transform("map", "odom_1", 50, 0, 5), 5);
+  assert.equal(fleet.mapFrames, 3, "a robot's odometry is no map");
+});
+
+test("a robot whose name begins with another one's keeps its own messages", () => {
+  const fleet = new Fleet();
+  const prefixes = ["/", "/lab/", "/lab/alice/", "/lab/alice2/"];
+  fleet.setFigures({ robots: prefixes.map((prefix, i) => ({ number: i + 1, prefix })) }, 0);
+  for (const prefix of prefixes) {
+    const { robot, rest } = fleet.robotOfTopic(`${prefix}scan`);
+    assert.deepEqual([robot.prefix, rest], [prefix, "scan"]);
+  }
+});
+
+test("a bridge that has just begun does not know the time, and makes nothing look new", () => {
+  const fleet = new Fleet();
+  fleet.setRunTime(100, 100, 1000);
+  fleet.clock.reset();
+  fleet.setRunTime(110, 110, 0);
+  fleet.setRunTime(111, 111, 1011);
+  assert.equal(fleet.clock.toPage(1001, 111), 101, "ten seconds old");
 });

@@ -31,3 +31,14 @@ test("a stop that the operator releases is not sent again, and somebody else's i
   stop.confirm(90);
   assert.deepEqual(said, []);
 });
+
+test("a release counts only when no stop was asked for or set just before: it may be the second press of a stop", () => {
+  for (let tenths = 0; tenths <= 30; tenths += 1) {
+    const stop = new EmergencyStop(() => true, () => {});
+    assert.equal(stop.mayRelease(5), true);
+    stop.ask(10);
+    stop.confirm(10.5);
+    stop.confirm(11);
+    assert.equal(stop.mayRelease(10 + tenths / 10), tenths >= 20, `${tenths}`);
+  }
+});

@@ -24,6 +24,12 @@ function open(handlers = {}) {
   return { connection, socket };
 }
 
+/** Tells a connection the bridge's own time: then commands can say when they are sent. */
+function tellTime(socket, seconds = 100) {
+  const { id } = socket.commands("getParameters").at(-1);
+  socket.receive({ op: "parameterValues", id, parameters: [{ name: "/mr_slam/clock", value: seconds }] });
+}
+
 const ADVERTISE = { op: "advertise", channels: [{ id: 9, topic: "/robot1/scan", schemaName: "sensor_msgs/msg/LaserScan" }] };
 
 test("a topic is subscribed to once it is there, and its messages arrive", () => {
@@ -46,15 +52,21 @@ test("a topic is subscribed to once it is there, and its messages arrive", () =>
 
 test("a publication is announced once, and old commands do not pile up", () => {
   const { connection, socket } = open();
+  assert.equal(connection.publish("/robot1/cmd_vel", "geometry_msgs/msg/Twist", new Uint8Array([7])), false, "the bridge's time is not known yet");
+  tellTime(socket);
   const send = (isUrgent) => connection.publish("/robot1/cmd_vel", "geometry_msgs/msg/Twist", new Uint8Array([7]), isUrgent);
   assert.equal(send(), true);
   assert.equal(send(), true);
   assert.equal(socket.commands("advertise").length, 1);
   const messages = () => socket.sent.filter((data) => data instanceof Uint8Array);
-  assert.deepEqual([...messages()[0]], [1, connection.publications.get("/robot1/cmd_vel").id, 0, 0, 0, 7]);
+  const { id } = connection.publications.get("/robot1/cmd_vel");
+  assert.deepEqual([...messages()[0].slice(0, 5), ...messages()[0].slice(13)], [128, id, 0, 0, 0, 7]);
+  const sentAt = Number(new DataView(messages()[0].buffer).getBigUint64(5, true)) * 1e-9;
+  assert.ok(sentAt >= 100 && sentAt < 110, `the bridge's time, ${sentAt}`);
   socket.bufferedAmount = 1e6;
   assert.equal(send(), false);
   assert.equal(send(true), true, "an emergency stop is sent whatever waits");
+  assert.deepEqual([...messages()[2]], [1, id, 0, 0, 0, 7], "and is carried out however late it comes");
   assert.equal(messages().length, 3);
 });
 
@@ -75,6 +87,7 @@ test("a new connection gets the subscriptions and publications of the one before
   assert.equal(again.commands("advertise").length, 0, "another run may have no such topic");
   assert.deepEqual(states, [true, false, true]);
   assert.equal(again.sent.some((data) => data instanceof Uint8Array), false, "no command is sent late");
+  tellTime(again);
   connection.publish("/robot1/cmd_vel", "geometry_msgs/msg/Twist", new Uint8Array([7]));
   connection.publish("/robot1/cmd_vel", "geometry_msgs/msg/Twist", new Uint8Array([7]));
   const sent = again.sent.slice(-3).map((data) => (typeof data === "string" ? JSON.parse(data).op : "message"));
@@ -122,7 +135,7 @@ test("the run's time is asked for one question at a time, and a silent connectio
   connection.tick(begun);
   connection.tick(begun + 1000);
   const [{ parameterNames, id }, ...more] = socket.commands("getParameters");
-  assert.deepEqual([parameterNames, more], [["/mr_slam/time"], []], "the first is not answered yet");
+  assert.deepEqual([parameterNames, more], [["/mr_slam/time", "/mr_slam/clock"], []], "the first is not answered yet");
   socket.receive({ op: "parameterValues", id: "another", parameters: [{ name: "/mr_slam/time", value: 1 }] });
   socket.receive({ op: "parameterValues", id, parameters: [{ name: "/mr_slam/time", value: 42.5 }] });
   assert.equal(times.length, 1);

@@ -33,3 +33,31 @@ test("an anchor that the device has forgotten is forgotten", async () => {
   assert.equal(await kept.restore({ restorePersistentAnchor: () => Promise.reject(new Error("gone")) }), false);
   assert.equal(of.getItem("mr-slam.anchor.map"), null);
 });
+
+/** A device whose answers come when the test says so. */
+function device() {
+  const [waiting, forgotten, deleted] = [[], [], []];
+  globalThis.XRRigidTransform = class {};
+  const session = { deletePersistentAnchor: async (handle) => { forgotten.push(handle); } };
+  const frame = {
+    session,
+    createAnchor: () => new Promise((resolve) => {
+      const name = `anchor ${waiting.length}`;
+      waiting.push(() => resolve({ name, delete: () => deleted.push(name), requestPersistentHandle: async () => `handle of ${name}` }));
+    }),
+  };
+  return { frame, forgotten, deleted, answer: (i) => waiting[i]() };
+}
+
+test("an anchor that comes after a newer place was chosen is deleted, and the old handle is forgotten", async () => {
+  const { frame, forgotten, deleted, answer } = device();
+  const of = storage();
+  const kept = new KeptAnchor("map", of);
+  const [first, second] = [kept.put(frame, null, new Float32Array(16), "first"), kept.put(frame, null, new Float32Array(16), "second")];
+  assert.deepEqual(forgotten, ["h"], "that of the session before");
+  answer(1);
+  assert.equal(await second, true);
+  answer(0);
+  assert.equal(await first, false);
+  assert.deepEqual([kept.anchor.name, deleted, JSON.parse(of.getItem("mr-slam.anchor.map"))], ["anchor 1", ["anchor 0"], { handle: "handle of anchor 1", data: "second" }]);
+});

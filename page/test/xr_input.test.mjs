@@ -22,10 +22,10 @@ function controls() {
 test("a button acts once until it is pressed again", () => {
   const { it, calls } = controls();
   const session = (...inputSources) => ({ visibilityState: "visible", inputSources });
-  it.update(session(source("right", [4])), frame, null, 0);
-  it.update(session(source("right", [4])), frame, null, 0.1);
-  it.update(session(source("right", [])), frame, null, 0.2);
-  it.update(session(source("right", [4]), source("left", [4, 5])), frame, null, 0.3);
+  it.readButtons(session(source("right", [4])));
+  it.readButtons(session(source("right", [4])));
+  it.readButtons(session(source("right", [])));
+  it.readButtons(session(source("right", [4]), source("left", [4, 5])));
   assert.deepEqual(calls, ["next", "next", "previous", "stop"]);
 });
 
@@ -79,4 +79,20 @@ test("a pulse reaches every controller that can vibrate", () => {
   const actuator = { pulse: (...args) => { felt.push(args); return Promise.reject(new Error("asleep")); } };
   pulse({ inputSources: [source("left", [], [], actuator), source("right", []), { hand: {} }, source("right", [], [], actuator)] }, 0.5, 100);
   assert.deepEqual(felt, [[0.5, 100], [0.5, 100]]);
+});
+
+test("after a gap without frames, as of a headset that was taken off, the grip drives only when it was open", () => {
+  for (let gapS = 0; gapS <= 5; gapS += 0.25) {
+    const { it } = controls();
+    const update = (pressed, now) => {
+      it.update({ visibilityState: "visible", inputSources: [source("right", pressed, [0, 0, 0, -1])] }, frame, null, now);
+      return it.drive(now);
+    };
+    update([], 10);
+    assert.ok(update([1], 10.1));
+    const after = 10.1 + gapS;
+    assert.equal(update([1], after) !== null, gapS <= 1, `a gap of ${gapS} s`);
+    update([], after + 0.1);
+    assert.ok(update([1], after + 0.2), "it was open");
+  }
 });

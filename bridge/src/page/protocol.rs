@@ -4,6 +4,7 @@
 //! numbers in them are little-endian. Source: the protocol's description in foxglove/ws-protocol and foxglove-sdk.
 
 use crate::bridge::FleetStatus;
+use msg::Monotonic;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -17,12 +18,16 @@ pub const SCHEMA_ENCODING: &str = "ros2msg";
 pub const FLEET_PARAMETER: &str = "/mr_slam/fleet";
 /// The parameter with the newest time of the run, seconds: clients that ask for it learn how old messages are.
 pub const TIME_PARAMETER: &str = "/mr_slam/time";
+/// The parameter with the bridge's own time, seconds: clients that know it say when they sent a command.
+pub const CLOCK_PARAMETER: &str = "/mr_slam/clock";
 /// First byte of a message on a subscription, from the server.
 pub const MESSAGE_DATA: u8 = 1;
 /// First byte of a service's response, from the server.
 pub const SERVICE_RESPONSE: u8 = 3;
 /// First byte of a message that a client publishes.
 const CLIENT_MESSAGE: u8 = 1;
+/// First byte of a message that a client publishes with the time at which it did: the bridge's own addition.
+const TIMED_CLIENT_MESSAGE: u8 = 128;
 /// First byte of a client's call of a service.
 const SERVICE_REQUEST: u8 = 2;
 /// Characters of a text about a device that are logged.
@@ -186,7 +191,7 @@ pub struct Parameter<'a> {
 pub enum ParameterValue<'a> {
     /// Value of [`FLEET_PARAMETER`].
     Fleet(&'a FleetStatus),
-    /// Value of [`TIME_PARAMETER`], seconds.
+    /// Value of [`TIME_PARAMETER`] or [`CLOCK_PARAMETER`], seconds.
     Time(f64),
 }
 
@@ -284,6 +289,8 @@ pub enum ClientMessage<'a> {
     Publish {
         /// The client's number of the topic.
         channel: u32,
+        /// When it was sent, on the bridge's own clock, if the client says so.
+        sent: Option<Monotonic>,
         /// The message, CDR with its encapsulation header.
         payload: &'a [u8],
     },
@@ -306,7 +313,8 @@ pub enum BinaryError {
     Short(usize),
     /// The first byte names nothing that the bridge offers.
     #[error(
-        "a binary message begins with {0}; the bridge takes 1 (a message on a topic) and 2 (a service call)"
+        "a binary message begins with {0}; the bridge takes 1 (a message on a topic), 2 (a service call) and 128 (a message with \
+         its time)"
     )]
     Kind(u8),
 }
@@ -319,7 +327,13 @@ impl<'a> ClientMessage<'a> {
         match *kind {
             CLIENT_MESSAGE => {
                 let (channel, payload) = split_number(rest).ok_or_else(short)?;
-                Ok(Self::Publish { channel, payload })
+                Ok(Self::Publish { channel, sent: None, payload })
+            }
+            TIMED_CLIENT_MESSAGE => {
+                let (channel, rest) = split_number(rest).ok_or_else(short)?;
+                let (nanoseconds, payload) = rest.split_first_chunk().ok_or_else(short)?;
+                let sent = Some(Monotonic(u64::from_le_bytes(*nanoseconds)));
+                Ok(Self::Publish { channel, sent, payload })
             }
             SERVICE_REQUEST => Self::parse_call(rest).ok_or_else(short),
             kind => Err(BinaryError::Kind(kind)),

@@ -347,10 +347,11 @@ impl<S: Stream> Connection<'_, S> {
                     bridge.receive(self.id, frame, now);
                 }
                 let status = || bridge.fleet_status(self.id, now);
-                self.session.answer_request(status, bridge.run_time_s(), &mut self.encoder.borrow_mut())?;
+                let run_time_s = bridge.run_time_s();
+                self.session.answer_request(status, run_time_s, now, &mut self.encoder.borrow_mut())?;
             }
             Message::Binary(bytes) => {
-                let found = self.session.receive_binary(&bytes, &mut self.encoder.borrow_mut())?;
+                let found = self.session.receive_binary(&bytes, now, &mut self.encoder.borrow_mut())?;
                 match found {
                     Some(ClientData::Message { topic: SELFCHECK_TOPIC, .. })
                         if self.selfchecks >= SELFCHECKS_MAX => {}

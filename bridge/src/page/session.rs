@@ -4,20 +4,26 @@ mod services;
 
 use super::encoder::Encoder;
 use super::protocol::{
-    BinaryError, Channel, ClientChannel, ClientCommand, ClientMessage, ENCODING, FLEET_PARAMETER, Parameter,
-    ParameterValue, SCHEMA_ENCODING, ServerCommand, StatusLevel, Subscription, TIME_PARAMETER, message_type,
-    schema_name,
+    BinaryError, CLOCK_PARAMETER, Channel, ClientChannel, ClientCommand, ClientMessage, ENCODING,
+    FLEET_PARAMETER, Parameter, ParameterValue, SCHEMA_ENCODING, ServerCommand, StatusLevel, Subscription,
+    TIME_PARAMETER, message_type, schema_name,
 };
 use crate::bridge::FleetStatus;
 use crate::command::{Registration, name};
+use msg::Monotonic;
 use ros_messages::schema::schema;
 use services::ServiceTable;
 use std::collections::BTreeMap;
 use std::io;
+use std::time::Duration;
 use thiserror::Error;
 
 /// Topics that one browser may publish.
 const PUBLICATIONS_MAX: usize = 256;
+/// A command that says when it was sent is refused after so long: what it should begin is no longer wanted.
+const LATE: Duration = Duration::from_secs(1);
+/// A client is told of late commands once in this time: a driver sends 20 velocities a second.
+const LATE_NOTICE_PERIOD: Duration = Duration::from_secs(1);
 /// Longest name of a request for parameters, bytes: the answer repeats it.
 const REQUEST_NAME_MAX: usize = 64;
 
@@ -57,6 +63,14 @@ pub enum SessionError {
         topic: String,
         /// The encoding that the client announced.
         encoding: String,
+    },
+    /// The message was on its way for too long.
+    #[error("'{topic}' came {age_s:.1} s late and was not carried out: send it again")]
+    Late {
+        /// Name of the topic.
+        topic: String,
+        /// Time since the client sent it, seconds.
+        age_s: f64,
     },
     /// The name of a request for parameters is too long.
     #[error("a request for parameters has a name of {0} bytes; at most {REQUEST_NAME_MAX} are allowed")]
@@ -120,6 +134,8 @@ pub struct Session {
     known_status: Option<FleetStatus>,
     /// The request for parameters that [`Session::answer_request`] answers.
     request: Option<ParameterRequest>,
+    /// When the client may be told of a late command again.
+    late_notice_due: Option<Monotonic>,
 }
 
 impl Session {
@@ -189,6 +205,7 @@ impl Session {
         &mut self,
         status: impl FnOnce() -> FleetStatus,
         run_time_s: f64,
+        now: Monotonic,
         encoder: &mut Encoder,
     ) -> io::Result<()> {
         let Some(ParameterRequest { names, id }) = self.request.take() else { return Ok(()) };
@@ -196,7 +213,10 @@ impl Session {
         let status = is_wanted(FLEET_PARAMETER).then(status);
         let fleet = status.as_ref().map(|status| (FLEET_PARAMETER, ParameterValue::Fleet(status)));
         let time = is_wanted(TIME_PARAMETER).then_some((TIME_PARAMETER, ParameterValue::Time(run_time_s)));
-        let values = fleet.into_iter().chain(time).map(|(name, value)| Parameter { name, value });
+        let clock_s = now.0 as f64 * 1e-9;
+        let clock = is_wanted(CLOCK_PARAMETER).then_some((CLOCK_PARAMETER, ParameterValue::Time(clock_s)));
+        let values =
+            fleet.into_iter().chain(time).chain(clock).map(|(name, value)| Parameter { name, value });
         let parameters: Vec<Parameter<'_>> = values.collect();
         encoder.send(&ServerCommand::ParameterValues { parameters: &parameters, id: id.as_deref() })
     }
@@ -246,10 +266,11 @@ impl Session {
         Ok(frames)
     }
 
-    /// Reads a binary message. What is refused, the client is told.
+    /// Reads a binary message. What is refused, the client is told; of late commands, once a second.
     pub fn receive_binary<'a>(
         &'a mut self,
         bytes: &'a [u8],
+        now: Monotonic,
         encoder: &mut Encoder,
     ) -> io::Result<Option<ClientData<'a>>> {
         match ClientMessage::parse(bytes) {
@@ -259,10 +280,20 @@ impl Session {
                 Ok((service, commands)) => Ok(Some(ClientData::Call { commands, service, payload })),
                 Err(error) => encoder.send_call_failure(id, &error.to_string()).map(|()| None),
             },
-            Ok(ClientMessage::Publish { channel, payload }) => match self.publications.get(&channel) {
-                Some((topic, _)) => Ok(Some(ClientData::Message { topic, payload })),
-                None => refuse(&SessionError::NoSuchChannel(channel.into()), encoder).map(|()| None),
-            },
+            Ok(ClientMessage::Publish { channel, sent, payload }) => {
+                let Some((topic, _)) = self.publications.get(&channel) else {
+                    return refuse(&SessionError::NoSuchChannel(channel.into()), encoder).map(|()| None);
+                };
+                let age = sent.map_or(Duration::ZERO, |sent| Duration::from_nanos(now.since(sent)));
+                if age <= LATE {
+                    return Ok(Some(ClientData::Message { topic, payload }));
+                }
+                if self.late_notice_due.is_none_or(|due| now >= due) {
+                    self.late_notice_due = Some(now + LATE_NOTICE_PERIOD);
+                    refuse(&SessionError::Late { topic: topic.clone(), age_s: age.as_secs_f64() }, encoder)?;
+                }
+                Ok(None)
+            }
         }
     }
 

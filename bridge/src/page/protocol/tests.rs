@@ -55,11 +55,14 @@ proptest! {
     #[test]
     fn random_bytes_are_a_message_or_an_error(bytes in proptest::collection::vec(any::<u8>(), 0..32)) {
         match ClientMessage::parse(&bytes) {
-            Ok(ClientMessage::Publish { payload, .. }) => prop_assert_eq!(payload.len() + 5, bytes.len()),
+            Ok(ClientMessage::Publish { payload, sent, .. }) => {
+                let header_bytes = if sent.is_some() { 13 } else { 5 };
+                prop_assert_eq!(payload.len() + header_bytes, bytes.len());
+            }
             Ok(ClientMessage::Call { encoding, payload, .. }) => {
                 prop_assert_eq!(encoding.len() + payload.len() + 13, bytes.len());
             }
-            Err(_) => prop_assert!(bytes.len() < 5 || bytes[0] != 1),
+            Err(_) => prop_assert!(bytes.len() < 13 || ![1, 128].contains(&bytes[0])),
         }
         let _ = serde_json::from_slice::<ClientCommand>(&bytes);
     }
