@@ -120,6 +120,24 @@ test("the emergency stop is set by a key, is confirmed, and is released separate
   await page.waitForSelector("#release", { state: "hidden", ...WAIT });
 });
 
+test("the release never comes to where the stop was, and the second press of a stop releases nothing", async () => {
+  const { page } = await open();
+  const boxOf = (id) => page.locator(id).evaluate((of) => ((box) => [box.left, box.top, box.right, box.bottom])(of.getBoundingClientRect()));
+  for (const width of [360, 390, 412, 761, 830, 1280]) {
+    await page.setViewportSize({ width, height: 800 });
+    const before = await boxOf("#stop");
+    await page.locator("#stop").evaluate((stop) => stop.click());
+    await page.waitForSelector("#release:visible", WAIT);
+    await page.locator("#release").evaluate((release) => release.click());
+    const [left, top, right, bottom] = await boxOf("#release");
+    assert.deepEqual(await boxOf("#stop"), before, `${width} px`);
+    assert.ok(right <= before[0] || left >= before[2] || bottom <= before[1] || top >= before[3], `${width} px`);
+    await page.waitForSelector("#release:enabled", WAIT);
+    await page.click("#release");
+    await page.waitForSelector("#release", { state: "hidden", ...WAIT });
+  }
+});
+
 test("an emergency stop that is pressed while the link breaks is set when it is back", async () => {
   const { page } = await open({ sockets: true });
   await page.evaluate(() => {

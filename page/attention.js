@@ -35,6 +35,7 @@ export function attentionOf(fleet, now, isConnected) {
     const { state, reason } = robot.navigation ?? {};
     if (state === "failed") add(3, "goal", `its goal was given up: ${reason}`);
     if (state === "blocked") add(4, "way", `its way is blocked: ${reason}`);
+    if (!slam && age !== null && age <= STALE_S) add(4, "silent", "what its SLAM does is not known: it does not answer");
     if (slam === "paused") add(2, "paused", "SLAM is paused: nothing is mapped");
     if (slam === "unconfirmed") add(3, "unconfirmed", "its scans have not confirmed the pose that it was given");
     if (slam === "unreliable") add(2, "unreliable", "its map may be wrong");

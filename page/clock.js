@@ -2,6 +2,8 @@
 
 /** Answers that are kept; the one that came back soonest counts. */
 const SAMPLES_MAX = 10;
+/** An answer may differ from the best one by this and half the time that both took, seconds. By more, the bridge's clock has been set, or stood. */
+const DRIFT_S = 0.5;
 
 /** The bridge's clock beside the page's. All times are seconds. */
 export class RunClock {
@@ -19,7 +21,9 @@ export class RunClock {
    * @param {number} runTime the run's time in the answer
    */
   add(askedAt, answeredAt, runTime) {
-    this.samples.push({ offset: runTime - (askedAt + answeredAt) / 2, tookS: answeredAt - askedAt });
+    const [offset, tookS, best] = [runTime - (askedAt + answeredAt) / 2, answeredAt - askedAt, this.best()];
+    if (best && Math.abs(offset - best.offset) > DRIFT_S + (tookS + best.tookS) / 2) this.reset();
+    this.samples.push({ offset, tookS });
     if (this.samples.length > SAMPLES_MAX) this.samples.shift();
   }
 

@@ -1,13 +1,14 @@
 // Goals: where a robot is to go, as the operator draws it on the map, and what its navigation says of it.
 
 import { readPath, readString, writeEmpty, writePoseStamped } from "./messages.js";
+import { PoseTool, drawnHeading } from "./pose_tool.js";
 
 /** @typedef {import("./geometry.js").Point} Point */
 /** @typedef {import("./geometry.js").Pose} Pose */
 /** @typedef {import("./state.js").Robot} Robot */
 
-/** Drag from which a goal has the heading of the drag, pixels; a shorter one faces away from the robot. */
-const HEADING_PX = 14;
+/** A goal that nothing has accepted for so long was lost or refused, seconds. */
+const ACCEPT_S = 10;
 /** States in which a robot has a goal, and a plan or none. */
 const ACTIVE = ["planning", "driving", "waiting", "blocked", "recovering", "paused"];
 
@@ -58,10 +59,27 @@ export function unacceptedGoal(/** @type {Robot} */ robot) {
   return robot.sentGoal && !robot.sentGoal.isAccepted ? robot.sentGoal.pose : null;
 }
 
+/** Forgets goals that nothing has accepted in time; returns their robots. @param {Iterable<Robot>} robots @param {number} now seconds */
+export function expireGoals(robots, now) {
+  const late = [...robots].filter((robot) => unacceptedGoal(robot) && now - (robot.sentGoal?.at ?? now) > ACCEPT_S);
+  for (const robot of late) robot.sentGoal = null;
+  return late;
+}
+
+/** Forgets a goal that the bridge has refused: its message begins with the topic. @param {Iterable<Robot>} robots @param {string} text */
+export function refuseGoal(robots, text) {
+  for (const robot of robots) if (text.startsWith(`'${robot.prefix}goal_pose'`)) robot.sentGoal = null;
+}
+
 /** Returns what navigation does, as a short text. */
 export function describeNavigation(/** @type {Robot} */ robot) {
-  if (unacceptedGoal(robot)) return "goal not accepted yet";
-  const { navigation } = robot;
+  const state = describeState(robot);
+  if (!unacceptedGoal(robot)) return state;
+  return state === "none" ? "goal not accepted yet" : `goal not accepted yet; before: ${state}`;
+}
+
+/** Returns what navigation said last. @param {Robot} robot */
+function describeState({ navigation }) {
   if (!navigation || navigation.state === "idle") return "none";
   const { state, reason, remainingM, waitsFor } = navigation;
   const parts = [state + (waitsFor === null ? "" : ` for ${waitsFor}`)];
@@ -72,71 +90,22 @@ export function describeNavigation(/** @type {Robot} */ robot) {
 
 /** Returns the heading of a goal that is drawn from one point of the map to another. */
 export function headingOf(/** @type {Point} */ from, /** @type {Point} */ to, /** @type {number} */ pixels, /** @type {Point | null} */ robot) {
-  if (pixels >= HEADING_PX) return Math.atan2(to.y - from.y, to.x - from.x);
-  return robot ? Math.atan2(from.y - robot.y, from.x - robot.x) : 0;
+  return drawnHeading(from, to, pixels, robot ? Math.atan2(from.y - robot.y, from.x - robot.x) : 0);
 }
 
 /** The tool that draws goals with the pointer. */
-export class GoalTool {
-  /**
-   * @param {object} of
-   * @param {string} of.frame the frame of the map that is shown
-   * @param {(topic: string, type: string, payload: Uint8Array, isLateWorthy?: boolean) => boolean} of.publish
-   * @param {() => Robot | null} of.robot the selected robot
-   * @param {(text: string, isError?: boolean) => void} of.log
-   * @param {(isOn: boolean) => void} of.show
-   */
-  constructor(of) {
-    this.of = of;
-    this.isOn = false;
-    /** The goal that is being drawn. @type {{from: Point, to: Point, pixels: number} | null} */
-    this.drawn = null;
-  }
+export class GoalTool extends PoseTool {
+  wish = "select a robot, then set its goal";
 
-  /** Switches the tool on or off. */
-  toggle() {
-    this.isOn = !this.isOn;
-    this.drawn = null;
-    this.of.show(this.isOn);
-    if (this.isOn && !this.of.robot()) this.of.log("select a robot, then set its goal");
-  }
-
-  /** Begins a goal at a point of the map; returns false if the tool is off. */
-  press(/** @type {Point} */ at) {
-    if (!this.isOn) return false;
-    this.drawn = { from: at, to: at, pixels: 0 };
-    return true;
-  }
-
-  move(/** @type {Point} */ to, /** @type {number} */ pixels) {
-    if (this.drawn) this.drawn = { ...this.drawn, to, pixels };
-  }
-
-  /** Returns the pose that is being drawn, or null. @returns {Pose | null} */
-  pose() {
-    const robot = this.of.robot();
-    if (!this.drawn || !robot) return null;
-    const { from, to, pixels } = this.drawn;
-    return { ...from, yaw: headingOf(from, to, pixels, robot.pose) };
-  }
-
-  /** Sends the goal that was drawn, and switches the tool off. */
-  release() {
-    const pose = this.pose();
-    const robot = this.of.robot();
-    if (this.drawn) this.toggle();
-    if (pose && robot) this.send(robot, pose);
-  }
+  /** Without a drag a goal faces away from the robot. @param {Point} at @param {Robot} robot */
+  clickHeading(at, robot) { return headingOf(at, at, 0, robot.pose); }
 
   /** Sends a goal to a robot. */
   send(/** @type {Robot} */ robot, /** @type {Pose} */ pose) {
     const message = writePoseStamped(this.of.frame, pose);
     if (!this.of.publish(`${robot.prefix}goal_pose`, "geometry_msgs/msg/PoseStamped", message)) return;
-    robot.sentGoal = { pose, after: robot.navigation?.goal ?? 0, isAccepted: false };
+    robot.sentGoal = { pose, after: robot.navigation?.goal ?? 0, isAccepted: false, at: performance.now() / 1000 };
   }
-
-  /** Forgets the goal that is being drawn. */
-  cancelDrawing() { this.drawn = null; }
 
   /** Gives the selected robot's goal up, or drives on to it. @param {"cancel" | "resume"} what */
   command(what) {

@@ -1,6 +1,6 @@
 // The operator's page: connections, controls and panels around one fleet.
 
-import { GoalTool, headingOf } from "./goals.js";
+import { GoalTool, expireGoals, headingOf, refuseGoal } from "./goals.js";
 import { Driving, attachStick, situationOf } from "./driving.js";
 import { EdgePanel, writeEdgeCommand } from "./edges.js";
 import { showButtons, showConnection, showExploration } from "./controls.js";
@@ -16,6 +16,7 @@ import { ZoneTool } from "./zones.js";
 import { readGrid, writeBool, writeEmpty, writeInt } from "./messages.js";
 import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } from "./panels.js";
 import { attachPointers } from "./pointers.js";
+import { SetPoseTool } from "./pose_tool.js";
 import { RobotMaps } from "./seen.js";
 import { Fleet, MAP } from "./state.js";
 import { StopButtons } from "./stop_buttons.js";
@@ -71,9 +72,10 @@ const live = new Connection(url, {
     beginRun();
   },
   status: (level, text) => {
-    if (level === ERROR) driving.refuse();
-    if (level === ERROR) warn(text);
-    else logMessage(text);
+    if (level !== ERROR) return logMessage(text);
+    driving.refuse();
+    refuseGoal(fleet.robots.values(), text);
+    return warn(text);
   },
   parameter: (name, value) => {
     if (name !== FLEET_PARAMETER || live.run !== fleet.run) return;
@@ -260,19 +262,18 @@ element("take-over").addEventListener("click", takeOver);
 
 // --- Tools on the map ---
 
-const goals = new GoalTool({
-  frame: MAP,
-  publish: send,
-  robot: () => robotOf(selected),
-  log: logMessage,
-  show: (isOn) => showTool("goal", goals, isOn),
-});
+const ofPoses = { frame: MAP, publish: send, robot: () => robotOf(selected), log: logMessage };
+/** @type {GoalTool} */
+const goals = new GoalTool({ ...ofPoses, show: (isOn) => showTool("goal", goals, isOn) });
+/** @type {SetPoseTool} */
+const setPose = new SetPoseTool({ ...ofPoses, show: (isOn) => showTool("set-pose", setPose, isOn) });
 const measure = new MeasureTool((isOn) => showTool("measure", measure, isOn));
 const zones = new ZoneTool({ zones: () => fleet.zones, publish: send, show: (isOn) => showTool("zone", zones, isOn) });
-const tools = new MapTools(view.camera, goals, measure, zones);
+const tools = new MapTools(view.camera, goals, measure, zones, setPose);
 const cursor = new MapCursor(tools, (at) => mapView.goTo(at));
 Object.assign(view, { measure, zones, cursor });
 element("goal").addEventListener("click", () => goals.toggle());
+element("set-pose").addEventListener("click", () => setPose.toggle());
 element("measure").addEventListener("click", () => measure.toggle());
 element("zone").addEventListener("click", () => zones.toggle());
 
@@ -315,6 +316,7 @@ attachKeys({
   actions: {
     KeyT: takeOver,
     KeyG: () => goals.toggle(),
+    KeyP: () => setPose.toggle(),
     KeyM: () => measure.toggle(),
     KeyZ: () => zones.toggle(),
     BracketLeft: () => selectNext(-1),
@@ -372,6 +374,7 @@ function updatePanels(time) {
   isolation.run("the hint", showHint);
   isolation.run("the emergency stop", () => stopButtons.show());
   isolation.run("the buttons", () => showButtons(robotOf(selected), fleet.isStopped === true));
+  expireGoals(fleet.robots.values(), time).forEach(({ name }) => warn(`${name} has not accepted its goal: set it again`));
   isolation.run("the robots", () => panels.update(fleet, selected, time));
   isolation.run("the attention list", () => attention.update(fleet.attention(time, isAnswering()), fleet));
   isolation.run("the fleet's figures", () => fleetPanel.update(fleet, time));
@@ -384,7 +387,7 @@ function frame() {
   requestAnimationFrame(frame);
   const time = now();
   measure.followFrame(fleet.mapFrames);
-  view.drawnGoal = goals.pose();
+  view.drawnGoal = goals.pose() ?? setPose.pose();
   view.draw(fleet, selected, time);
   fleet.recordDrawn(now());
   if (time >= panelsDue) {
@@ -394,3 +397,4 @@ function frame() {
 }
 requestAnimationFrame(frame);
 mapView.show();
+view.layers.attach(element("layers"));

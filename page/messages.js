@@ -132,6 +132,17 @@ export function writePoseStamped(/** @type {string} */ frame, /** @type {Pose} *
   return to.done();
 }
 
+/**
+ * Writes geometry_msgs/PoseWithCovarianceStamped of a place on the floor, without a time.
+ * @param {string} frame @param {Pose} pose @param {{m: number, rad: number}} sigma standard deviations
+ */
+export function writePoseWithCovariance(frame, { x, y, yaw }, sigma) {
+  const to = new CdrWriter().i32(0).i32(0).string(frame);
+  [x, y, 0, 0, 0, Math.sin(yaw / 2), Math.cos(yaw / 2)].forEach((value) => to.f64(value));
+  for (let i = 0; i < 36; i += 1) to.f64(i === 0 || i === 7 ? sigma.m ** 2 : i === 35 ? sigma.rad ** 2 : 0);
+  return to.done();
+}
+
 export function writeBool(/** @type {boolean} */ value) { return new CdrWriter().bool(value).done(); }
 export function writeInt(/** @type {number} */ value) { return new CdrWriter().i32(value).done(); }
 /** Writes std_msgs/Empty, which has one byte in ROS 2. */

@@ -77,7 +77,11 @@ export class RobotPanels {
       rows.append(create("dt", "", heading), value);
       return value;
     });
-    button.append(icon, create("span", "name", `${robot.number} · ${robot.name}`), state, rows);
+    const name = create("span", "name", `${robot.number} · ${robot.name}`);
+    // The rows change all the time: they are no part of what the button is called.
+    [name.id, state.id] = [`name-${robot.number}`, `state-${robot.number}`];
+    button.setAttribute("aria-labelledby", `${name.id} ${state.id}`);
+    button.append(icon, name, state, rows);
     button.addEventListener("click", () => this.onSelect(robot.number));
     const item = create("li");
     item.append(button);

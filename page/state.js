@@ -75,7 +75,7 @@ export class Robot {
     this.plan = null;
     /** @type {import("./goals.js").Navigation | null} */
     this.navigation = null;
-    /** The goal that was sent from this page, and the number of the goal before it. @type {{pose: Pose, after: number, isAccepted: boolean} | null} */
+    /** The goal that was sent from this page, the number of the goal before it, and when, seconds. @type {{pose: Pose, after: number, isAccepted: boolean, at: number} | null} */
     this.sentGoal = null;
   }
 

@@ -2,6 +2,7 @@
 
 import { Camera, transform } from "./geometry.js";
 import { drawGoal, drawMark } from "./goals.js";
+import { Layers } from "./layers.js";
 
 /** @typedef {import("./state.js").Fleet} Fleet */
 /** @typedef {import("./state.js").Robot} Robot */
@@ -17,7 +18,7 @@ export const FREE = 25;
 /** On a narrower map the controls lie above and below it, pixels. */
 const NARROW_PX = 560;
 /** Height of the controls above and below, pixels. */
-const COVERED_PX = { top: 52, bottom: 190 };
+const COVERED_PX = { top: 92, bottom: 190 };
 
 /** Draws a fleet on a canvas. */
 export class View {
@@ -36,6 +37,7 @@ export class View {
     this.paintedSeen = null;
     /** Colours and version of the map that is painted, and since when there is one, ms of the page. */
     this.painted = { colours: "", version: 0, at: 0 };
+    this.layers = new Layers();
     /** The goal that the operator is drawing. @type {import("./geometry.js").Pose | null} */
     this.drawnGoal = null;
     /** The distance that the operator measures. @type {import("./measure.js").MeasureTool | null} */
@@ -83,17 +85,17 @@ export class View {
     const box = this.fits ? fleet.box() : null;
     if (box) this.camera.fit(box, this.camera.width < NARROW_PX ? COVERED_PX : undefined);
     const colours = this.colours();
-    const { context, camera } = this;
+    const { context, camera, layers } = this;
     context.fillStyle = colours.background;
     context.fillRect(0, 0, camera.width, camera.height);
     this.drawMap(fleet, colours);
-    this.zones?.draw(context, camera, colours);
+    this.zones?.draw(context, camera, colours, layers.has("zones"));
     this.drawMetres(colours);
     const robots = [...fleet.robots.values()].sort((a, b) => Number(a.number === selected) - Number(b.number === selected));
-    robots.filter((robot) => fleet.isPlaced(robot)).forEach((robot) => this.drawTrail(robot));
-    robots.forEach((robot) => this.drawScan(robot, now, colours));
-    this.drawPlacesLeft(fleet, colours);
-    robots.forEach((robot) => drawGoal(context, camera, robot, fleet));
+    if (layers.has("trails")) robots.filter((robot) => fleet.isPlaced(robot)).forEach((robot) => this.drawTrail(robot));
+    if (layers.has("scans")) robots.forEach((robot) => this.drawScan(robot, now, colours));
+    if (layers.has("left")) this.drawPlacesLeft(fleet, colours);
+    if (layers.has("goals")) robots.forEach((robot) => drawGoal(context, camera, robot, fleet));
     if (this.drawnGoal) drawMark(context, camera, this.drawnGoal, colours.text, true);
     robots.forEach((robot) => this.drawRobot(robot, robot.number === selected, now, colours));
     this.measure?.draw(context, camera, colours);
@@ -125,7 +127,7 @@ export class View {
       this.painted = { colours: theme, version: merged.version, at: this.painted.at || performance.now() };
     }
     this.drawRaster(this.mapImage, map);
-    if (fleet.seen) this.drawSeen(fleet.seen);
+    if (fleet.seen && this.layers.has("seen")) this.drawSeen(fleet.seen);
   }
 
   /** Draws the colours of the robots that saw the map. @param {import("./seen.js").Layer} layer */

@@ -89,6 +89,8 @@ export class MixedReality {
       this.scene = new Scene(xr.renderer);
       this.fleetPanel = new FleetPanel(xr.renderer);
       this.robotPanels.clear();
+      // What is held while the system's menu is open, or the headset is off, may be let go unseen.
+      session.addEventListener("visibilitychange", () => this.controls.release());
       session.addEventListener("select", (/** @type {any} */ event) => {
         const ray = rayOf(event.frame, event.inputSource, xr.space);
         if (ray && !isDrivingHand(event.inputSource)) this.select(ray, event.frame);

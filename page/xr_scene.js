@@ -5,6 +5,7 @@ import { hasGoal, planInMap } from "./goals.js";
 import { facing, multiply, rotationAboutY, scaling, translation } from "./matrix.js";
 import { SCAN_HEIGHT_M, VERTEX_NUMBERS, burger, cursorRing, ray, ribbon, selectionRing } from "./models.js";
 import { colourCells } from "./view.js";
+import { Marks } from "./xr_marks.js";
 import { XR_FROM_ROS } from "./coordinates.js";
 
 /** @typedef {import("./matrix.js").Matrix} Matrix */
@@ -91,6 +92,7 @@ export class Scene {
     this.cursor = renderer.createMesh(cursorRing());
     this.ray = renderer.createMesh(ray());
     this.map = renderer.createTexture(renderer.gl.TEXTURE_2D, renderer.gl.LINEAR_MIPMAP_LINEAR);
+    this.marks = new Marks(renderer);
     this.shownMap = 0;
     /** Whether the texture holds the map: not one that is too large for it. */
     this.hasMap = false;
@@ -105,6 +107,7 @@ export class Scene {
   update(fleet, now) {
     if (fleet.merged.version !== this.shownMap) this.updateMap(fleet);
     if (fleet.seen !== this.shownSeen) this.updateSeen(fleet.seen);
+    this.marks.update(fleet);
     for (const [number, drawables] of this.robots) {
       if (fleet.robots.has(number)) continue;
       [drawables.scan, drawables.trail, drawables.plan].forEach((drawable) => this.renderer.delete(drawable));
@@ -169,6 +172,7 @@ export class Scene {
     const { renderer } = this;
     renderer.setCovers(false);
     this.drawMap(fleet, xrFromMap);
+    this.marks.draw(xrFromMap, Math.hypot(xrFromMap[0], xrFromMap[1], xrFromMap[2]));
     for (const robot of fleet.robots.values()) {
       const drawables = this.robots.get(robot.number);
       if (!drawables) continue;

@@ -93,9 +93,9 @@ export class ZoneTool {
     if (zone) this.of.publish("/exclusion_zones/remove", "std_msgs/msg/Int32", writeInt(zone.number));
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./geometry.js").Camera} camera @param {{alarm: string}} colours */
-  draw(context, camera, colours) {
-    this.of.zones().forEach((zone) => drawArea(context, camera, zone.corners, colours.alarm));
+  /** @param {CanvasRenderingContext2D} context @param {import("./geometry.js").Camera} camera @param {{alarm: string}} colours @param {boolean} isShown whether zones are shown: while they are drawn or removed they always are */
+  draw(context, camera, colours, isShown = true) {
+    if (isShown || this.isOn) this.of.zones().forEach((zone) => drawArea(context, camera, zone.corners, colours.alarm));
     if (this.drawn) drawArea(context, camera, rectangle(this.drawn.from, this.drawn.to), colours.alarm);
   }
 }

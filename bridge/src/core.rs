@@ -26,6 +26,7 @@ use crate::drive::velocity_gate::{Velocity, VelocityGate};
 use crate::drive::{DriveArbiter, DriveClient};
 use crate::fleet_topics::{FleetMessage, FleetTopic, FleetTopics};
 use crate::frame::{RosTcpFrame, Side};
+use crate::newest_stats::NewestStats;
 use crate::relay::RelayTable;
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
@@ -33,9 +34,7 @@ use crate::router::{
 use crate::services::{Provider, ServiceCalls};
 use crate::slam_services::SlamServices;
 use crate::world::WorldInput;
-use msg::{
-    CommandSource, FleetStats, Header, Monotonic, OperatorAction, PauseReason, RobotId, VelocityCommand,
-};
+use msg::{CommandSource, Header, Monotonic, OperatorAction, PauseReason, RobotId, VelocityCommand};
 use ros_messages::{Bool, Int32, RobotNames, Twist};
 use std::net::SocketAddr;
 
@@ -76,7 +75,7 @@ pub struct Core {
     /// Receives sensor data if the world is not simulated here.
     pub world: Option<WorldInput>,
     /// The newest figures of telemetry, for the operator's page.
-    pub stats: Option<Box<FleetStats>>,
+    pub stats: NewestStats,
     /// The clients that are being dropped.
     admission: AdmissionState,
 }
@@ -103,7 +102,7 @@ impl Core {
             commands: CommandQueues::default(),
             config,
             world,
-            stats: None,
+            stats: NewestStats::default(),
             admission: AdmissionState::default(),
         };
         core.send_velocities();
@@ -166,10 +165,7 @@ impl Core {
     /// Publishes a message of the fleet.
     pub fn publish(&mut self, message: FleetMessage<'_>) {
         if let FleetMessage::Stats(stats) = message {
-            match &mut self.stats {
-                Some(newest) => **newest = *stats,
-                None => self.stats = Some(Box::new(*stats)),
-            }
+            self.stats.set(stats);
         }
         match message {
             FleetMessage::NavigationState(robot, report) => {
@@ -189,6 +185,7 @@ impl Core {
     /// transforms for late subscribers, drops clients that are gone.
     pub fn tick(&mut self, now: Monotonic) {
         self.commands.record_time(now);
+        self.stats.tick(now);
         self.gate.tick(now);
         self.send_velocities();
         self.enforce_limits(now);
@@ -248,7 +245,7 @@ impl Core {
     }
 
     /// Returns a client as the driver of a robot.
-    fn driver(&self, id: ClientId) -> DriveClient {
+    pub(crate) fn driver(&self, id: ClientId) -> DriveClient {
         let address = self.router.client(id).map(|client| client.peer.ip().to_canonical());
         DriveClient { client: Some(id), address }
     }

@@ -21,6 +21,7 @@ mod drive;
 mod fleet_topics;
 pub mod frame;
 mod input;
+mod newest_stats;
 mod page;
 mod peer_address;
 pub mod relay;

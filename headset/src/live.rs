@@ -4,11 +4,11 @@ use crate::{CLOCK_AHEAD, HeadsetRobots};
 use bridge::frame::{KEEPALIVE, Parser};
 use runtime::clock::{Epoch, now};
 use sim::Simulator;
+use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpStream};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -18,13 +18,35 @@ const RETRY_PERIOD: Duration = Duration::from_secs(1);
 const BEHIND_MAX: Duration = Duration::from_secs(1);
 /// Longest time that one write may wait for the link; then the application connects anew.
 const WRITE_MAX: Duration = Duration::from_secs(10);
-/// Velocities that may wait for the next tick; the newest is dropped beyond it.
-const VELOCITIES_MAX: usize = 256;
+/// Topics of velocities of which the newest waits for the next tick; those of further topics are left out.
+const TOPICS_MAX: usize = 256;
 /// Largest frame from the bridge, bytes: velocities and notices.
 const FRAME_BYTES_MAX: usize = 64 << 10;
 
-/// A velocity from the bridge: topic and payload.
-type Velocity = (String, Vec<u8>);
+/// The velocities that wait for the next tick: of each topic the newest, which may be the zero that stops its robot.
+#[derive(Default)]
+struct NewestVelocities {
+    by_topic: Mutex<BTreeMap<String, Vec<u8>>>,
+}
+
+impl NewestVelocities {
+    /// Takes a velocity in the place of an older one.
+    fn set(&self, topic: &str, payload: &[u8]) {
+        // A map is whole after any panic.
+        let mut by_topic = self.by_topic.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(newest) = by_topic.get_mut(topic) {
+            newest.clear();
+            newest.extend_from_slice(payload);
+        } else if by_topic.len() < TOPICS_MAX {
+            by_topic.insert(topic.to_owned(), payload.to_vec());
+        }
+    }
+
+    /// Returns those that have come since the last call.
+    fn take(&self) -> BTreeMap<String, Vec<u8>> {
+        core::mem::take(&mut *self.by_topic.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
 
 /// The running application; dropping it ends it.
 pub struct Headset {
@@ -80,9 +102,9 @@ fn play(mut robots: HeadsetRobots, port: u16, stop: &AtomicBool) {
 fn play_on(robots: &mut HeadsetRobots, mut stream: TcpStream, stop: &AtomicBool) -> std::io::Result<()> {
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(WRITE_MAX))?;
-    let (to_robots, velocities) = sync_channel(VELOCITIES_MAX);
-    let reading = stream.try_clone()?;
-    let reader = std::thread::spawn(move || read_velocities(reading, &to_robots));
+    let velocities = Arc::new(NewestVelocities::default());
+    let (reading, received) = (stream.try_clone()?, velocities.clone());
+    let reader = std::thread::spawn(move || read_velocities(reading, &received));
     let result = tick_until(robots, &mut stream, &velocities, stop);
     let _ = stream.shutdown(Shutdown::Both);
     let _ = reader.join();
@@ -92,7 +114,7 @@ fn play_on(robots: &mut HeadsetRobots, mut stream: TcpStream, stop: &AtomicBool)
 fn tick_until(
     robots: &mut HeadsetRobots,
     stream: &mut TcpStream,
-    velocities: &Receiver<Velocity>,
+    velocities: &NewestVelocities,
     stop: &AtomicBool,
 ) -> std::io::Result<()> {
     let mut frames = KEEPALIVE.to_vec();
@@ -103,7 +125,7 @@ fn tick_until(
     let mut due = Instant::now();
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(due.saturating_duration_since(Instant::now()));
-        while let Ok((topic, payload)) = velocities.try_recv() {
+        for (topic, payload) in velocities.take() {
             robots.receive(&topic, &payload);
         }
         robots.tick(&mut frames);
@@ -119,7 +141,7 @@ fn tick_until(
 }
 
 /// Passes velocities on until the connection ends.
-fn read_velocities(mut stream: TcpStream, to_robots: &SyncSender<Velocity>) {
+fn read_velocities(mut stream: TcpStream, velocities: &NewestVelocities) {
     let mut parser = Parser::new(FRAME_BYTES_MAX);
     while let Ok(count @ 1..) = stream.read(parser.space()) {
         parser.filled(count);
@@ -127,8 +149,30 @@ fn read_velocities(mut stream: TcpStream, to_robots: &SyncSender<Velocity>) {
             if let Ok(topic) = std::str::from_utf8(frame.name)
                 && topic.ends_with("/cmd_vel")
             {
-                let _ = to_robots.try_send((topic.to_owned(), frame.payload.to_vec()));
+                velocities.set(topic, frame.payload);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_velocity_of_each_robot_waits_however_many_came_before() {
+        let velocities = NewestVelocities::default();
+        for value in 0..1000_u32 {
+            for robot in 1..=3 {
+                velocities.set(&format!("/robot{robot}/cmd_vel"), &(robot * value).to_le_bytes());
+            }
+        }
+        let taken: Vec<_> = velocities.take().into_values().collect();
+        assert_eq!(taken, [999_u32, 1998, 2997].map(|value| value.to_le_bytes().to_vec()));
+        assert!(velocities.take().is_empty());
+        for topic in 0..1000 {
+            velocities.set(&format!("/{topic}/cmd_vel"), &[0]);
+        }
+        assert_eq!(velocities.take().len(), TOPICS_MAX);
     }
 }

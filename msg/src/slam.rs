@@ -25,6 +25,9 @@ pub enum TrackingState {
 }
 
 impl TrackingState {
+    /// The code of statistics of a robot whose SLAM has not answered lately: its state is not known.
+    pub const UNKNOWN_CODE: u32 = u32::MAX;
+
     /// Decodes a state; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         const STATES: [TrackingState; 7] = [

@@ -17,9 +17,6 @@ use std::time::{Duration, Instant};
 const PERIOD: Duration = Duration::from_millis(50);
 /// Time between two requests for the topics, as the connector waits.
 const TOPICS_PERIOD: Duration = Duration::from_secs(5);
-/// Longest time until the bridge reports our own selection. If it reports another robot after that, another client
-/// has selected it, and `/cmd_vel` would drive the wrong robot.
-const SELECTION_DELAY_MAX: Duration = Duration::from_millis(200);
 /// Shortest time between two selections of the same robot, so that two operators do not select in turn at 20 Hz.
 const RESELECT_PERIOD: Duration = Duration::from_secs(1);
 /// Default length of a turn, seconds: at least what one or two goals take, at most what keeps the others waiting.
@@ -147,9 +144,7 @@ impl<'a> ControlLoop<'a> {
             self.handle.subscribe(&topic("scan"), "sensor_msgs/LaserScan");
             self.handle.subscribe(&topic("map"), "nav_msgs/OccupancyGrid");
             self.handle.subscribe(&topic("slam_stats"), "std_msgs/Float32MultiArray");
-            if self.args.all_at_once {
-                self.handle.advertise::<ros::Twist>(&velocity_topic(robot));
-            }
+            self.handle.advertise::<ros::Twist>(&velocity_topic(robot));
             match &mut self.tour {
                 Some(tour) => tour.add(robot),
                 None => self.tour = ExplorationTour::new(self.tour_config(), [robot]),
@@ -164,40 +159,35 @@ impl<'a> ControlLoop<'a> {
         TourConfig { time_slice_s: time_slice_s(self.args, 1), seed: self.args.seed, ..TourConfig::default() }
     }
 
-    /// Publishes a velocity on the robot's own topic, or on `/cmd_vel` once the robot is selected.
+    /// Publishes a velocity on the robot's own topic: `/cmd_vel` would drive the robot that another client has selected meanwhile.
     fn publish_velocity(&mut self, now: Instant, command: DriveCommand, selected: Option<i32>) {
         let DriveCommand { robot, twist: Twist { linear_m_s, angular_rad_s } } = command;
         let twist = ros::Twist { linear: [linear_m_s, 0.0, 0.0], angular: [0.0, 0.0, angular_rad_s] };
-        let is_published = if self.args.all_at_once {
-            self.handle.publish(&velocity_topic(robot), &twist)
-        } else {
-            self.select_robot(now, robot, selected) && self.handle.publish("/cmd_vel", &twist)
-        };
+        if !self.args.all_at_once {
+            self.select_robot(now, robot, selected);
+        }
+        let is_published = self.handle.publish(&velocity_topic(robot), &twist);
         self.published += u64::from(is_published);
     }
 
-    /// Selects a robot if the bridge has to be told, and returns whether `/cmd_vel` goes to that robot.
-    fn select_robot(&mut self, now: Instant, robot: RobotId, selected: Option<i32>) -> bool {
+    /// Selects a robot if the bridge has to be told: others see then which one is driven.
+    fn select_robot(&mut self, now: Instant, robot: RobotId, selected: Option<i32>) {
         let connection = self.handle.connections();
         let own = self.selection.filter(|own| own.robot == robot && own.connection == connection);
         let since = own.map_or(Duration::MAX, |own| now.saturating_duration_since(own.at));
         let is_other_selected = selected.is_some_and(|number| number != robot.number() as i32);
         if own.is_none() || (is_other_selected && since >= RESELECT_PERIOD) {
             self.selection = Some(Selection { robot, connection, at: now });
-            return self.handle.publish("/selected_robot", &ros::Int32(robot.number() as i32));
+            self.handle.publish("/selected_robot", &ros::Int32(robot.number() as i32));
         }
-        !(is_other_selected && since >= SELECTION_DELAY_MAX)
     }
 
     /// Stops every robot that this operator drives.
     fn stop_robots(&mut self) {
         let stop = ros::Twist::default();
-        if self.args.all_at_once {
-            for robot in &self.robots {
-                self.handle.publish(&velocity_topic(*robot), &stop);
-            }
-        } else if self.selection.is_some() {
-            self.handle.publish("/cmd_vel", &stop);
+        let driven = self.selection.map(|selection| selection.robot);
+        for robot in self.robots.iter().filter(|robot| self.args.all_at_once || driven == Some(**robot)) {
+            self.handle.publish(&velocity_topic(*robot), &stop);
         }
     }
 

@@ -178,7 +178,6 @@ fn register_topics(handle: &ClientHandle) {
     handle.subscribe("/emergency_stop", "std_msgs/Bool");
     handle.subscribe("/selected_robot", "std_msgs/Int32");
     handle.advertise::<bridge::ros::Int32>("/selected_robot");
-    handle.advertise::<bridge::ros::Twist>("/cmd_vel");
 }
 
 /// The receiving thread: records each message in the statistics at once, then stores its content.

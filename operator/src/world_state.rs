@@ -19,6 +19,9 @@ const FRAMES_MAX: usize = 1024;
 const STEPS_MAX: usize = 16;
 /// Age at which a pose is no longer used, seconds: 20 periods of a robot's transforms.
 const POSE_AGE_MAX_S: f64 = 1.0;
+/// Age at which a link on the way from a robot to a map is no longer used, seconds: the bridge repeats those of maps once a second, while
+/// they hold.
+const LINK_AGE_MAX_S: f64 = 5.0;
 
 /// Newest transform of a frame to its parent.
 #[derive(Clone, Debug)]
@@ -239,26 +242,32 @@ impl WorldState {
                 return None;
             }
             let map = map_of.map_or(ros::names::MAP, |map_of| names.map(map_of));
-            self.ancestor_from_frame(map, base)
+            self.ancestor_from_frame(map, base, |link| now - link.received <= LINK_AGE_MAX_S)
         })
     }
 
     fn base_from_scan(&self, robot: RobotId) -> Option<Pose2> {
         self.frame_names.iter().find_map(|names| {
             let base = names.robot_frame(robot, RobotFrame::BaseFootprint);
-            self.ancestor_from_frame(base, names.robot_frame(robot, RobotFrame::BaseScan))
+            // The scanner is fixed: its link may be said once.
+            self.ancestor_from_frame(base, names.robot_frame(robot, RobotFrame::BaseScan), |_| true)
         })
     }
 
-    /// Pose of a frame in one of its ancestors; `None` if the ancestor is not on the way to the root.
-    fn ancestor_from_frame(&self, ancestor: &str, frame: &str) -> Option<Pose2> {
+    /// Pose of a frame in one of its ancestors; `None` if the ancestor is not on the way to the root, or a link does not hold.
+    fn ancestor_from_frame(
+        &self,
+        ancestor: &str,
+        frame: &str,
+        holds: impl Fn(&FrameTransform) -> bool,
+    ) -> Option<Pose2> {
         let mut current = frame;
         let mut current_from_frame = Pose2::IDENTITY;
         for _ in 0..STEPS_MAX {
             if current == ancestor {
                 return Some(current_from_frame);
             }
-            let transform = self.transforms.get(current)?;
+            let transform = self.transforms.get(current).filter(|link| holds(link))?;
             current_from_frame = transform.parent_from_child * current_from_frame;
             current = &transform.parent;
         }

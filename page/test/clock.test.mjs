@@ -24,3 +24,15 @@ test("an answer that was held up on one way does not shift the clock", () => {
   clock.reset();
   assert.equal(clock.roundTrip(), null);
 });
+
+test("a bridge whose clock was set, or stood, is believed at once; a slow answer alone changes nothing", () => {
+  for (let setBy = -60; setBy <= 60; setBy += 0.5) {
+    const clock = new RunClock();
+    for (let i = 0; i < 5; i += 1) clock.add(i, i + 0.01, 1000 + i);
+    // The answer took two seconds: nearly all of it one way.
+    clock.add(10, 12, 1011.9 + setBy);
+    const estimated = clock.toBridge(12) - 1012;
+    if (Math.abs(setBy) > 3) assert.ok(Math.abs(estimated - setBy) <= 1, `${setBy} s: ${estimated}`);
+    else if (setBy === 0) assert.ok(Math.abs(estimated) < 0.01);
+  }
+});

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { CdrReader, CdrWriter } from "../cdr.js";
-import { GoalTool, describeNavigation, hasGoal, headingOf, planInMap, unacceptedGoal } from "../goals.js";
+import { GoalTool, describeNavigation, expireGoals, hasGoal, headingOf, planInMap, refuseGoal, unacceptedGoal } from "../goals.js";
 import { writePoseStamped } from "../messages.js";
 import { Fleet } from "../state.js";
 
@@ -67,7 +67,7 @@ test("a goal is not accepted until navigation says so", () => {
   fleet.receive("/robot1/navigation_state", text({ state: "reached", goal: 4 }), 0);
   robot.sentGoal = { pose: { x: 1, y: 0, yaw: 0 }, after: 4, isAccepted: false };
   fleet.receive("/robot1/navigation_state", text({ state: "reached", goal: 4 }), 0);
-  assert.equal(describeNavigation(robot), "goal not accepted yet");
+  assert.equal(describeNavigation(robot), "goal not accepted yet; before: reached");
   fleet.receive("/robot1/navigation_state", text({ state: "driving", goal: 5, remaining_m: 2.44, reason: "" }), 0);
   assert.equal(unacceptedGoal(robot), null);
   assert.equal(describeNavigation(robot), "driving, 2.4 m to go");
@@ -99,4 +99,19 @@ test("a state that is not one is refused", () => {
   for (const message of [view(new CdrWriter().string("{").done()), text({}), text({ state: 1 }), text(null)]) {
     assert.throws(() => fleet.receive("/robot1/navigation_state", message, 0), RangeError);
   }
+});
+
+test("a goal that is refused, or that nothing accepts in time, is forgotten; one that was accepted is not", () => {
+  const { robot } = fleetOfOne();
+  const sentAt = (at, isAccepted = false) => { robot.sentGoal = { pose: { x: 1, y: 0, yaw: 0 }, after: 4, isAccepted, at }; };
+  sentAt(100);
+  assert.deepEqual([expireGoals([robot], 105), unacceptedGoal(robot) !== null], [[], true]);
+  assert.deepEqual([expireGoals([robot], 111), unacceptedGoal(robot)], [[robot], null]);
+  sentAt(100, true);
+  assert.deepEqual([expireGoals([robot], 1000), robot.sentGoal !== null], [[], true]);
+  sentAt(100);
+  refuseGoal([robot], "'/robot1/cmd_vel': somebody drives it");
+  assert.ok(unacceptedGoal(robot));
+  refuseGoal([robot], "'/robot1/goal_pose': the emergency stop is set");
+  assert.equal(unacceptedGoal(robot), null);
 });

@@ -8,6 +8,8 @@ import { GoalTool } from "../goals.js";
 import { MapCursor } from "../map_cursor.js";
 import { MapTools } from "../map_tools.js";
 import { MeasureTool } from "../measure.js";
+import { readPose } from "../messages.js";
+import { SetPoseTool } from "../pose_tool.js";
 import { Fleet } from "../state.js";
 import { ZoneTool } from "../zones.js";
 
@@ -20,7 +22,7 @@ function map() {
   const camera = Object.assign(new Camera(), { width: 800, height: 600, center: { x: 1, y: 2 } });
   const goals = new GoalTool({ frame: "map", publish, robot: () => fleet.robots.get(1), log: () => {}, show: () => {} });
   const zones = new ZoneTool({ zones: () => [], publish, show: () => {} });
-  const tools = new MapTools(camera, goals, new MeasureTool(() => {}), zones);
+  const tools = new MapTools(camera, goals, new MeasureTool(() => {}), zones, new SetPoseTool({ frame: "map", publish, robot: () => fleet.robots.get(1), log: () => {}, show: () => {} }));
   /** @type {{x: number, y: number}[]} */
   const revealed = [];
   return { tools, cursor: new MapCursor(tools, (at) => revealed.push(at)), sent, revealed };
@@ -106,4 +108,19 @@ test("what is drawn to a place outside of the map is not sent, and says so", () 
   assert.equal(draw(), null);
   assert.ok(tools.measure.length() > 2, "a distance stays");
   assert.deepEqual(sent, []);
+});
+
+test("a pose of a robot is set with its heading, and by a click alone with the one that it has", () => {
+  const { cursor, tools, sent } = map();
+  tools.setPose.toggle();
+  press(cursor, "ArrowRight", "Enter", "ArrowUp", "ArrowUp", "ArrowUp", "ArrowUp", "Enter");
+  tools.setPose.of.robot().pose = { x: 0, y: 0, yaw: Math.PI };
+  tools.setPose.toggle();
+  press(cursor, "Enter", "Enter");
+  assert.deepEqual(sent.map(({ topic }) => topic), ["/robot1/initialpose", "/robot1/initialpose"]);
+  const [up, kept] = sent.map(({ payload }) => readPose(new DataView(payload.buffer)));
+  assert.ok(Math.hypot(up.pose.x - 1.1, up.pose.y - 2, up.pose.yaw - Math.PI / 2) < 1e-9, JSON.stringify(up));
+  assert.ok(Math.abs(Math.abs(kept.pose.yaw) - Math.PI) < 1e-9);
+  assert.deepEqual([up.frame, up.deviation], ["map", { x: 0.5, y: 0.5, yaw: 0.26 }]);
+  assert.equal(tools.isOn, false);
 });

@@ -5,12 +5,15 @@ use crate::jitter::TransformJitter;
 use crate::scans::ScanCounter;
 use heapless::Deque;
 use msg::grid::{MAP_CELLS_MAX, Occupancy, UNKNOWN, occupancy};
-use msg::{Grid, GridView, GroundTruth, Monotonic, Pose2, PoseEstimate, RobotStats, Stamp};
+use msg::{Grid, GridView, GroundTruth, Monotonic, Pose2, PoseEstimate, RobotStats, Stamp, TrackingState};
+use std::time::Duration;
 
 /// True poses kept until the pose estimate of that time arrives: more than half a second at 100 Hz.
 const TRUTHS_MAX: usize = 64;
 /// Largest gap between the stamps of a true pose and a pose estimate that are compared, seconds: 2 cm at 0.2 m/s.
 const TRUTH_GAP_MAX_S: f64 = 0.1;
+/// A state that SLAM has not repeated for so long is not known any more: its process has ended or hangs, or no scan comes.
+const SILENT: Duration = Duration::from_secs(3);
 
 /// Scans for which the latency of their map means something: not those of a map that a restarted process had saved, and
 /// not those of a map that was drawn before telemetry began.
@@ -53,6 +56,8 @@ pub(crate) struct RobotTelemetry {
     scan_to_pose: Histogram,
     scan_to_map: Histogram,
     newest: Option<PoseEstimate>,
+    /// When the newest pose estimate came.
+    newest_received: Monotonic,
     truths: Deque<(Stamp, Pose2), TRUTHS_MAX>,
     /// The newest map.
     pub grid: Grid,
@@ -75,6 +80,7 @@ impl RobotTelemetry {
         self.scans.add(pose_estimate, received);
         record_latency(&mut self.scan_to_pose, pose_estimate.scan_sent, received);
         self.newest = Some(*pose_estimate);
+        self.newest_received = received;
     }
 
     /// Records the latency of a map, unless it is older than one before.
@@ -108,8 +114,9 @@ impl RobotTelemetry {
     /// Computes the robot's statistics.
     pub fn stats(&self, now: Monotonic) -> RobotStats {
         let pose_estimate = self.newest.unwrap_or_default();
+        let is_silent = self.newest.is_some() && now > self.newest_received + SILENT;
         RobotStats {
-            state: pose_estimate.state,
+            state: if is_silent { TrackingState::UNKNOWN_CODE } else { pose_estimate.state },
             scan_hz: self.scans.rate_hz(now),
             scans: self.scans.received,
             scans_lost: self.scans.lost,

@@ -47,7 +47,7 @@ pub(crate) struct RobotStatus {
     /// Who drives it: an address, or `ROS 2`.
     #[serde(skip_serializing_if = "Option::is_none")]
     driver: Option<String>,
-    /// Whether this client drives it.
+    /// Whether this client drives it: it may use the driver's lease.
     is_mine: bool,
     /// Largest speed forward and backward, m/s.
     linear_max_m_s: f64,
@@ -103,7 +103,7 @@ impl Bridge {
     /// Returns the state of the fleet for a client.
     pub(crate) fn fleet_status(&self, viewer: ClientId, now: Monotonic) -> FleetStatus {
         let core = self.core.borrow();
-        let stats = core.stats.as_deref();
+        let stats = core.stats.get();
         let finite = |value: fn(&FleetStats) -> f64| stats.map(value).filter(|value| value.is_finite());
         FleetStatus {
             robots: core.fleet.robots().map(|robot| robot_status(&core, robot, viewer, now)).collect(),
@@ -126,14 +126,14 @@ impl Bridge {
 }
 
 fn robot_status(core: &Core, robot: RobotId, viewer: ClientId, now: Monotonic) -> RobotStatus {
-    let stats = core.stats.as_deref().map(|stats| &stats.robots[robot.index()]);
+    let stats = core.stats.get().map(|stats| &stats.robots[robot.index()]);
     let driver = core.gate.drive().leaseholder(robot, now);
     let limits = RobotLimits::new(&core.config.velocity, robot);
     RobotStatus {
         prefix: core.fleet.robot_names().topic(robot, ""),
         number: robot.number(),
         driver: driver.map(|driver| driver_name(core, driver)),
-        is_mine: driver.is_some_and(|driver| driver.client == Some(viewer)),
+        is_mine: driver.is_some_and(|driver| driver.is_same(&core.driver(viewer))),
         linear_max_m_s: limits.linear_m_s,
         angular_max_rad_s: limits.angular_rad_s,
         slam: stats.and_then(|stats| TrackingState::from_code(stats.state)).map(TrackingState::name),
@@ -163,4 +163,24 @@ fn known_m2(stats: &RobotStats) -> f64 {
 
 fn percentiles(measured: &Distribution) -> Option<[f32; 2]> {
     (measured.count > 0).then_some([measured.p50, measured.p95])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::BridgeConfig;
+    use std::time::Duration;
+
+    #[test]
+    fn after_a_restart_a_robot_is_that_clients_whose_address_drove_it_before() {
+        let bridge = Bridge::new(BridgeConfig::default(), 1, |_, _| {}).unwrap();
+        let mut connect = |peer: &str| bridge.core.borrow_mut().connect(peer.parse().unwrap(), None).unwrap();
+        let [former, other] = ["127.0.0.1:5000", "127.0.0.2:5000"].map(&mut connect);
+        let (robot, until) = (RobotId::new(1).unwrap(), Monotonic(0) + Duration::from_secs(4));
+        bridge.restore_driver(robot, Some("127.0.0.1".parse().unwrap()), until);
+        let is_mine = |viewer, now| bridge.fleet_status(viewer, now).robots[0].is_mine;
+        assert!(is_mine(former, Monotonic(0)), "it may drive on");
+        assert!(!is_mine(other, Monotonic(0)));
+        assert!(!is_mine(former, until), "the lease is over");
+    }
 }

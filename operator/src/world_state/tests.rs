@@ -71,6 +71,29 @@ fn poses_refer_to_the_own_map_until_the_place_in_the_merged_map_is_known() {
 }
 
 #[test]
+fn a_robot_whose_map_has_left_the_merged_map_is_in_its_own_again() {
+    let robot = RobotId::new(1).unwrap();
+    let mut state = WorldState::default();
+    state.store(Stamp(0), "/robot1/map", &grid(3), MessageContent::Encoded).unwrap();
+    state.store(Stamp(0), "/merged_map", &grid(5), MessageContent::Encoded).unwrap();
+    let maps = decode_maps(state.take_encoded_maps());
+    state.store_maps(maps);
+    store_transforms(&mut state, 0.0, vec![transform("map", "map_1", Pose2::new(9.0, 0.0, 0.0))]);
+    for tenths in 0..100 {
+        let now_s = f64::from(tenths) * 0.1;
+        let own = vec![
+            transform("map_1", "odom_1", Pose2::IDENTITY),
+            transform("odom_1", "base_footprint_1", Pose2::IDENTITY),
+        ];
+        store_transforms(&mut state, now_s, own);
+        let at = state.robot(Stamp::from_seconds(now_s), robot);
+        // Links are repeated once a second while they hold.
+        assert_eq!(at.in_merged_map, tenths <= 50, "after {now_s} s");
+        assert!(at.map_from_base.is_some());
+    }
+}
+
+#[test]
 fn invalid_transforms_and_maps_are_ignored() {
     let robot = RobotId::new(1).unwrap();
     let mut state = WorldState::default();

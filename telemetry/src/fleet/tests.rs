@@ -21,6 +21,27 @@ fn map_transforms(known: usize) -> MapTransforms {
 }
 
 #[test]
+fn a_state_that_slam_has_not_repeated_is_not_known() {
+    let mut telemetry = Telemetry::new(1, None, &[]);
+    let mut state = |now_s: u64| {
+        TrackingState::from_code(
+            telemetry.compute_stats(Stamp(0), Monotonic(now_s * 1000 * MS)).robots[0].state,
+        )
+    };
+    assert_eq!(state(100), Some(TrackingState::Starting));
+    let pose_estimate = PoseEstimate { state: TrackingState::Tracking as u32, ..Default::default() };
+    telemetry.add_pose_estimate(robot(1), &pose_estimate, Monotonic(100_000 * MS));
+    let mut state = |now_s: u64| {
+        TrackingState::from_code(
+            telemetry.compute_stats(Stamp(0), Monotonic(now_s * 1000 * MS)).robots[0].state,
+        )
+    };
+    for now_s in 100..200 {
+        assert_eq!(state(now_s), (now_s <= 103).then_some(TrackingState::Tracking), "{now_s}");
+    }
+}
+
+#[test]
 fn the_statistics_of_one_robot_are_those_of_its_messages() {
     let start = Pose2::new(1.0, 0.5, 0.0);
     let mut telemetry = Telemetry::new(1, None, &[Some(start)]);
