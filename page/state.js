@@ -43,7 +43,7 @@ export class Robot {
   constructor(number, prefix) {
     this.number = number;
     this.prefix = prefix;
-    this.name = prefix.replaceAll("/", "") || "robot";
+    this.name = prefix.replace(/^\/+|\/+$/g, "") || "robot";
     this.colour = COLOURS[(number - 1) % COLOURS.length];
     this.corners = SHAPES[(number - 1) % SHAPES.length];
     /** @type {any} the newest figures of the bridge */

@@ -261,6 +261,7 @@ test("a robot whose name begins with another one's keeps its own messages", () =
   const fleet = new Fleet();
   const prefixes = ["/", "/lab/", "/lab/alice/", "/lab/alice2/"];
   fleet.setFigures({ robots: prefixes.map((prefix, i) => ({ number: i + 1, prefix })) }, 0);
+  assert.deepEqual([...fleet.robots.values()].map(({ name }) => name), ["robot", "lab", "lab/alice", "lab/alice2"]);
   for (const prefix of prefixes) {
     const { robot, rest } = fleet.robotOfTopic(`${prefix}scan`);
     assert.deepEqual([robot.prefix, rest], [prefix, "scan"]);
@@ -274,4 +275,11 @@ test("a bridge that has just begun does not know the time, and makes nothing loo
   fleet.setRunTime(110, 110, 0);
   fleet.setRunTime(111, 111, 1011);
   assert.equal(fleet.clock.toPage(1001, 111), 101, "ten seconds old");
+});
+
+test("a robot whose scans come while nothing is known of its SLAM needs attention", () => {
+  const fleet = new Fleet();
+  fleet.setFigures({ robots: [{ number: 1, prefix: "/robot1/" }, { number: 2, prefix: "/robot2/", slam: "tracking" }] }, 0);
+  fleet.robots.forEach((robot) => { robot.scanAt = 10; });
+  assert.deepEqual(fleet.attention(10, true).map(({ key }) => key), ["silent 1"]);
 });
