@@ -12,7 +12,7 @@ pub struct NewestStats {
 }
 
 impl NewestStats {
-    /// Takes figures.
+    /// Takes newer figures in place of those before.
     pub fn set(&mut self, stats: &FleetStats) {
         self.since = None;
         match &mut self.stats {

@@ -47,6 +47,32 @@ fn the_robots_of_a_bridge_are_driven_one_after_the_other() {
 }
 
 #[test]
+fn a_robot_that_another_client_selects_again_and_again_is_not_driven() {
+    let (stop, has_moved) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+    let seen = has_moved.clone();
+    let has_turned = move |world: &TestWorld| {
+        seen.fetch_or(world.turned_rad(1) != 0.0, Ordering::Relaxed);
+        world.turned_rad(0).abs() > 0.3
+    };
+    let fleet = spawn_fleet(2.into(), stop.clone(), has_turned);
+    let (address, ended) = (format!("127.0.0.1:{}", fleet.port), stop.clone());
+    let other = std::thread::spawn(move || {
+        let mut client = Client::new(address);
+        let handle = client.handle();
+        handle.advertise::<bridge::ros::Int32>("/selected_robot");
+        while !ended.load(Ordering::Relaxed) {
+            handle.publish("/selected_robot", &bridge::ros::Int32(2));
+            client.poll(Instant::now() + Duration::from_millis(10), &mut |_| {});
+        }
+    });
+    let report = run(&OperatorArgs { robots: Some(1), ..args(fleet.port) }, &stop).unwrap();
+    fleet.thread.join().unwrap();
+    other.join().unwrap();
+    assert!(report.seconds < 60.0, "the robot did not move: {report:?}");
+    assert!(!has_moved.load(Ordering::Relaxed), "the other robot moved");
+}
+
+#[test]
 fn all_robots_are_driven_at_once() {
     let stop = Arc::new(AtomicBool::new(false));
     let all_turned = |world: &TestWorld| (0..3).all(|i| world.turned_rad(i).abs() > 0.3);
