@@ -5,6 +5,7 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    mr_slam::child_process::set_own_name();
     output::start_log();
     let words: Vec<OsString> = std::env::args_os().collect();
     // Known before the words are understood: an unknown option is an error that a program reads, too.

@@ -4,7 +4,7 @@ use crate::channel::{self, Opener, Program};
 use crate::clock::now;
 use crate::config::RobotSource;
 use crate::ports::{ChannelError, ReadMapPort};
-use crate::progress;
+use crate::progress::{self, ProgressBoard};
 use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
 use formats::map_file;
@@ -154,9 +154,14 @@ impl Observer {
         let is_elsewhere = run.config.world == RobotSource::Robots;
         let fleet = &run.config.fleet;
         let view = FleetView::new(self.stats()?).without_given_transforms(fleet.starts_known);
-        Some(
-            view.with_names(&fleet.names).with_ended_processes(|pid| is_elsewhere || progress::is_alive(pid)),
-        )
+        let view = view.with_ended_processes(|pid| is_elsewhere || progress::is_alive(pid));
+        let board = ProgressBoard::open(&run.domain, run.progress_slots())
+            .and_then(|mut board| board.read().map(|()| board));
+        let is_failing = |name: &str| {
+            let index = run.config.processes().position(|(row, robot)| row.title(robot) == name);
+            board.as_ref().ok().zip(index).is_some_and(|(board, index)| board.is_failing(index))
+        };
+        Some(view.with_names(&fleet.names).with_failing_processes(is_failing))
     }
 
     /// Newest velocity that a robot was told, by its index, and its age in seconds.

@@ -20,10 +20,11 @@ pub use running::{LostFleet, RunningFleets};
 use crate::channel::Opener;
 use crate::clock::Epoch;
 use crate::config::FleetConfig;
+use crate::other_fleets::OtherFleet;
 use crate::ports::ChannelError;
 use crate::progress::{ProgressCounter, WatchedThread};
 use crate::runtime_folder::{self, FleetPlace, Forbidden, Lock, TrustError};
-use crate::shared_memory::{Domain, Participant};
+use crate::shared_memory::{Domain, DomainGuard, Participant};
 use msg::{Monotonic, RobotId, Role};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -90,6 +91,9 @@ pub enum RunError {
     /// No fleet runs.
     #[error("no fleet is running; start one with `mr-slam up`")]
     NoneRunning,
+    /// Fleets run, but none that is found from here.
+    #[error("{}", display_all(.0))]
+    OthersRunning(Vec<OtherFleet>),
     /// The folder that was named has no run.
     #[error("{}: no fleet has run in this folder (it has no run.json); `mr-slam status` finds the fleets that run", .0.display())]
     NoRun(PathBuf),
@@ -97,10 +101,10 @@ pub enum RunError {
     #[error("{}: the fleet of this run has ended; start one with `mr-slam up`", .0.display())]
     Ended(PathBuf),
     /// Fleets run, but none whose folder can be read.
-    #[error("{}; `mr-slam stop` stops its robots, and `kill` with the process id ends it", display_lost(.0))]
+    #[error("{}; `mr-slam stop` stops its robots, and `kill` with the process id ends it", display_all(.0))]
     Lost(Vec<LostFleet>),
     /// Several fleets run, and none was named.
-    #[error("{} fleets are running; name one with --run-dir: {}", runs.len(), display_all(runs))]
+    #[error("{} fleets are running; name one with --run-dir: {}", runs.len(), display_dirs(runs))]
     SeveralRunning {
         /// Folders of the runs, oldest first.
         runs: Vec<PathBuf>,
@@ -144,12 +148,12 @@ impl RunFile {
     }
 }
 
-fn display_all(runs: &[PathBuf]) -> String {
+fn display_dirs(runs: &[PathBuf]) -> String {
     runs.iter().map(|dir| dir.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-fn display_lost(fleets: &[LostFleet]) -> String {
-    fleets.iter().map(LostFleet::to_string).collect::<Vec<_>>().join("; ")
+fn display_all(fleets: &[impl ToString]) -> String {
+    fleets.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
 }
 
 /// A fleet's run, as each of its processes knows it.
@@ -172,7 +176,7 @@ pub struct Run {
     /// Content of `run.json`.
     file: RunFile,
     /// Locks of the launcher, which say that it lives. They end with its process.
-    _locks: Option<Arc<[Lock; 2]>>,
+    _locks: Option<Arc<[Lock; 3]>>,
 }
 
 /// Creates the folder of a run if it does not exist, and checks that nobody else can put files into it.
@@ -211,12 +215,11 @@ impl Run {
         let dir = create_folder(dir)?;
         let dir_lock = lock_folder(&dir)?;
         let remove = |name: &str, root: &Path| {
-            if let Ok(domain) = Domain::new(name, root) {
-                domain.remove();
+            if Domain::new(name, root).is_ok_and(|domain| domain.remove_leftover()) {
                 tracing::warn!("removed what a fleet had left that did not end in order ({name})");
             }
         };
-        let FleetPlace { name: domain, root: runtime, lock } =
+        let FleetPlace { name: domain, root: runtime, locks: [file_lock, folder_lock] } =
             runtime_folder::create_place(outlives_session, remove)?;
         crate::shared_memory::remove_leftovers();
         // Without it the run's own folder will do.
@@ -228,10 +231,12 @@ impl Run {
         let (epoch_ns, begun_ns) = (epoch.monotonic_ns, crate::clock::now().0);
         let file = RunFile { pid, domain, runtime, epoch_ns, begun_ns, port };
         let run = Self::from_file(dir, file, config)?;
+        let guard = DomainGuard::new(run.domain.clone());
         run.write_description()?;
         // `mr-slam status` finds the run by it without knowing its folder.
         running::write_pointer(&run)?;
-        Ok(Self { _locks: Some(Arc::new([dir_lock, lock])), ..run })
+        guard.keep();
+        Ok(Self { _locks: Some(Arc::new([dir_lock, file_lock, folder_lock])), ..run })
     }
 
     /// Writes `fleet.toml` and `run.json`, by which the fleet's processes and other programs know the run.
@@ -240,8 +245,9 @@ impl Run {
         let path = self.dir.join("fleet.toml");
         formats::atomic::write(&path, |file| file.write_all(toml.as_bytes()))
             .map_err(RunError::file(&path))?;
-        let json = serde_json::to_string_pretty(&self.file).unwrap_or_default();
         let path = self.dir.join("run.json");
+        let json = serde_json::to_string_pretty(&self.file)
+            .map_err(|source| RunError::Json { path: path.clone(), source })?;
         formats::atomic::write_durably(&path, |file| file.write_all(json.as_bytes()))
             .map_err(RunError::file(&path))
     }
@@ -301,6 +307,21 @@ impl Run {
         ProgressCounter::open(&self.domain, index, thread)
     }
 
+    /// Returns the number of processes that have counters: the fleet's, and the link after them.
+    pub fn progress_slots(&self) -> usize {
+        self.link_slot() + 1
+    }
+
+    /// Returns the index of the counters of the link's process.
+    pub fn link_slot(&self) -> usize {
+        self.config.processes().count()
+    }
+
+    /// Opens the counter with which the link's process says that it works.
+    pub fn link_progress(&self) -> ProgressCounter {
+        ProgressCounter::open(&self.domain, Some(self.link_slot()), WatchedThread::Main)
+    }
+
     /// Returns the robots of the fleet.
     pub fn robots(&self) -> impl Iterator<Item = RobotId> + Clone {
         RobotId::first(self.config.fleet.robots)
@@ -320,6 +341,21 @@ mod tests {
         fs::set_permissions(&dir, fs::Permissions::from_mode(0o777)).unwrap();
         let why = create_folder(&dir).unwrap_err().to_string();
         assert!(why.contains("777") && why.contains("--run-dir"), "{why}");
+    }
+
+    #[test]
+    fn a_run_that_cannot_be_described_leaves_nothing_in_shared_memory() {
+        let folder = tempfile::tempdir().unwrap();
+        // A file cannot replace a folder that is not empty.
+        fs::create_dir_all(folder.path().join("run.json/in-the-way")).unwrap();
+        Run::create(folder.path(), FleetConfig::default(), 0, false).unwrap_err();
+        let own = format!("mrslam_{}_", std::process::id());
+        let entries = fs::read_dir(crate::shared_memory::SHARED_MEMORY).unwrap().flatten();
+        let left: Vec<_> = entries
+            .map(|entry| entry.file_name().to_string_lossy().into_owned())
+            .filter(|name| name.starts_with(&own) && name.ends_with("_ipc"))
+            .collect();
+        assert!(left.is_empty(), "{left:?}");
     }
 
     #[test]

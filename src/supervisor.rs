@@ -3,17 +3,17 @@
 //! What a dead child left in shared memory is removed before its restart. A child that hangs is killed, and started again
 //! like one that died.
 
+use crate::child_process::{describe_end, own_program, spawn};
 use crate::clock::{RESTARTS_VARIABLE, now};
 use crate::emergency_stop_file::latch_stop;
 use crate::fleet;
 use crate::process::control::saved_state::stop_file;
 use crate::processes::ProcessRow;
 use crate::progress::{self, ProgressBoard, WatchedThread};
-use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
+use crate::restarts::{RestartPolicy, failing_text};
 use crate::run::{Run, restore_folder};
 use crate::runtime_folder::Lock;
 use crate::sessions;
-use crate::shared_memory::{SHARED_MEMORY, close_descriptors_on_exec};
 use crate::storage::DiskStorage;
 use crate::watchdog::{Finding, Watchdog};
 use msg::{Monotonic, Pose2, RobotId, Role};
@@ -21,9 +21,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use std::io;
 use std::net::TcpListener;
 use std::os::fd::OwnedFd;
-use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::path::Path;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::os::unix::process::ExitStatusExt;
+use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 /// How long a child may take to end when asked, before it is killed. The whole fleet ends within
@@ -43,8 +42,6 @@ struct Member {
     policy: RestartPolicy,
     /// The child process, while it runs.
     child: Option<Child>,
-    /// Whether it died so often that it is not started again.
-    is_given_up: bool,
     /// Watchdogs of the child's main and second thread.
     watchdogs: [Watchdog; WatchedThread::COUNT],
 }
@@ -52,7 +49,7 @@ struct Member {
 impl Member {
     fn new(row: &'static ProcessRow, robot: Option<RobotId>, now: Monotonic) -> Self {
         let (policy, watchdogs) = (RestartPolicy::new(now), watchdogs(row, now));
-        Self { row, robot, policy, child: None, is_given_up: false, watchdogs }
+        Self { row, robot, policy, child: None, watchdogs }
     }
 
     fn name(&self) -> String {
@@ -70,6 +67,8 @@ pub struct Supervisor {
     members: Vec<Member>,
     progress: ProgressBoard,
     folder: RunFolder,
+    /// Why the run's folder, without which no process starts, cannot be used at present.
+    folder_error: Option<String>,
     /// Why the robots' starts, which were gone, could not be written again.
     starts_error: Option<String>,
 }
@@ -83,8 +82,6 @@ enum RunFolder {
         /// Lock of the new folder.
         _lock: Lock,
     },
-    /// It was moved or deleted, and cannot be made anew.
-    Missing,
 }
 
 impl Supervisor {
@@ -94,10 +91,15 @@ impl Supervisor {
         let now = now();
         let members = run.config.processes().map(|(row, robot)| Member::new(row, robot, now));
         let members: Vec<Member> = members.collect();
-        let progress = ProgressBoard::create(&run.domain, members.len())?;
-        let folder = RunFolder::Original;
-        let mut supervisor =
-            Self { run: run.clone(), listener, members, progress, folder, starts_error: None };
+        let mut supervisor = Self {
+            run: run.clone(),
+            listener,
+            progress: ProgressBoard::create(&run.domain, run.progress_slots())?,
+            members,
+            folder: RunFolder::Original,
+            folder_error: None,
+            starts_error: None,
+        };
         supervisor.tend(&mut |_, _| None, &mut |_| {});
         let missing = supervisor.members.iter().find(|member| member.child.is_none()).map(Member::name);
         match missing {
@@ -113,7 +115,9 @@ impl Supervisor {
     /// where it was `last_seen`. `tell` is called with each event.
     pub fn tend(&mut self, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
         self.keep_folder(tell);
-        self.keep_starts(tell);
+        if self.folder_error.is_none() {
+            self.keep_starts(tell);
+        }
         let mut died = false;
         for member in &mut self.members {
             died |= notice_death(member, tell);
@@ -126,13 +130,25 @@ impl Supervisor {
         order.sort_by_key(|index| start_rank(self.members[*index].row.role));
         for index in order {
             self.start_if_due(index, last_seen, tell);
+            // The next poll says it again if this one cannot.
+            let _ = self.progress.set_failing(index, self.members[index].policy.is_failing(now()));
         }
+    }
+
+    /// Starts failing processes at once: what they lacked may be there again.
+    pub fn retry_failing(&mut self) {
+        self.members.iter_mut().for_each(|member| member.policy.retry_if_failing(now()));
     }
 
     /// Makes the run's folder anew if it is gone: the children that are started again read it.
     fn keep_folder(&mut self, tell: &mut dyn FnMut(String)) {
         let dir = self.run.dir.display();
+        let error_before = self.folder_error.take();
         match restore_folder(&self.run) {
+            Ok(None) if error_before.is_some() => {
+                tell(format!("the run's folder {dir} can be used again"));
+                self.retry_failing();
+            }
             Ok(None) => {}
             Ok(Some(lock)) => {
                 tell(format!(
@@ -140,14 +156,15 @@ impl Supervisor {
                      a bridge that is started again stops the robots"
                 ));
                 self.folder = RunFolder::Restored { _lock: lock };
+                self.retry_failing();
             }
             Err(why) => {
-                if !matches!(self.folder, RunFolder::Missing) {
+                if error_before.is_none() {
                     tell(format!(
-                        "the run's folder was moved or deleted, and no process can be started again: {why}"
+                        "no process can be started again until the run's folder can be used: {why}"
                     ));
                 }
-                self.folder = RunFolder::Missing;
+                self.folder_error = Some(why.to_string());
             }
         }
     }
@@ -223,7 +240,8 @@ impl Supervisor {
 
     fn start_if_due(&mut self, index: usize, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
         let Member { row, robot, ref policy, .. } = self.members[index];
-        if !policy.is_due(now()) {
+        // A child reads the run's folder. Without it, its death would say nothing of the child.
+        if self.folder_error.is_some() || !policy.is_due(now()) {
             return;
         }
         let starts_before = policy.starts();
@@ -251,7 +269,7 @@ impl Supervisor {
         place: Option<Pose2>,
         starts_before: u64,
     ) -> io::Result<Child> {
-        let mut command = Command::new(std::env::current_exe()?);
+        let mut command = own_program();
         command.args(["worker", row.role.name()]).env(RESTARTS_VARIABLE, starts_before.to_string());
         if let Some(robot) = robot {
             command.arg("--robot").arg(robot.number().to_string());
@@ -267,14 +285,12 @@ impl Supervisor {
         if row.role == Role::Bridge {
             command.envs(bridge::ALLOCATOR_SETTINGS);
         }
-        close_descriptors_on_exec()?;
-        // A process group of its own: Ctrl-C reaches the launcher only, which then ends the children.
-        command.stdin(stdin).process_group(0).spawn()
+        spawn(command.stdin(stdin))
     }
 
-    /// Returns the names of the processes that died so often that they were not started again.
-    pub fn given_up(&self) -> Vec<String> {
-        self.members.iter().filter(|member| member.is_given_up).map(Member::name).collect()
+    /// Returns the names of the processes that die again and again.
+    pub fn failing(&self) -> Vec<String> {
+        self.members.iter().filter(|member| member.policy.is_failing(now())).map(Member::name).collect()
     }
 
     /// Asks every child to end, kills those that do not, and removes the run's shared memory. Returns what is not saved.
@@ -336,39 +352,38 @@ fn notice_death(member: &mut Member, tell: &mut dyn FnMut(String)) -> bool {
     let Some(child) = &mut member.child else { return false };
     let Ok(Some(status)) = child.try_wait() else { return false };
     member.child = None;
-    tell(format!("the {} ended ({})", member.name(), describe(status)));
+    tell(format!("the {} ended ({})", member.name(), describe_end(status)));
     record_death(member, tell);
     true
 }
 
 fn record_death(member: &mut Member, tell: &mut dyn FnMut(String)) {
-    if member.policy.on_death(now()) == State::GivenUp {
-        member.is_given_up = true;
-        tell(format!("the {} died {DEATHS_MAX} times in a row and is not started again", member.name()));
-    }
-}
-
-/// What the kernel sends when shared memory runs out.
-const SIGBUS: i32 = Signal::BUS.as_raw();
-/// What the kernel sends at the limit of a file's size.
-const SIGXFSZ: i32 = Signal::XFSZ.as_raw();
-
-fn describe(status: ExitStatus) -> String {
-    use std::os::unix::process::ExitStatusExt;
-    match (status.code(), status.signal()) {
-        (Some(code), _) => format!("exit code {code}"),
-        (None, Some(SIGBUS)) => {
-            let free = crate::resources::free_bytes(Path::new(SHARED_MEMORY)).unwrap_or(0);
-            format!("signal {SIGBUS}, as when {SHARED_MEMORY} is full: {:.1} MB free", free as f64 * 1e-6)
-        }
-        (None, Some(SIGXFSZ)) => format!("signal {SIGXFSZ}: a file would exceed the limit of `ulimit -f`"),
-        (None, Some(signal)) => format!("signal {signal}"),
-        (None, None) => "no reason given".into(),
+    if member.policy.on_death(now()) {
+        tell(format!("the {} {}", member.name(), failing_text()));
     }
 }
 
 fn signal(child: &Child, signal: Signal) {
     if let Some(pid) = Pid::from_raw(child.id() as i32) {
         let _ = kill_process(pid, signal);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_packaged_services_wait_until_all_is_saved() {
+        // After the slowest process the launcher writes maps and report.
+        let least = WRITER_END_GRACE * 2;
+        for unit in [
+            include_str!("../packaging/mr-slam-base.service"),
+            include_str!("../packaging/mr-slam-robot.service"),
+        ] {
+            let line = unit.lines().find_map(|line| line.strip_prefix("TimeoutStopSec="));
+            let seconds = Duration::from_secs(line.unwrap().parse().unwrap());
+            assert!(seconds >= least, "systemd kills the launcher after {seconds:?}: {unit}");
+        }
     }
 }

@@ -3,6 +3,7 @@
 use crate::FleetConfig;
 use runtime::channel::{SharedMemoryNeed, shared_memory_need};
 use runtime::shared_memory::SHARED_MEMORY;
+pub use runtime::storage::free_bytes;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -69,11 +70,6 @@ pub struct Finding {
     pub is_fatal: bool,
 }
 
-/// Bytes that are free in the file system of a folder; `None`: it cannot be asked.
-pub fn free_bytes(folder: &Path) -> Option<u64> {
-    rustix::fs::statvfs(folder).ok().map(|about| about.f_bavail * about.f_frsize)
-}
-
 /// Compares free shared memory with the need of a fleet.
 pub fn check_shared_memory(config: &FleetConfig) -> Option<Finding> {
     judge_shared_memory(
@@ -135,17 +131,18 @@ impl ResourceMonitor {
         Self { folder: folder.to_owned(), polled: None, is_short: [false; 2] }
     }
 
-    /// Looks at the free bytes once a second, and calls `tell` with what has changed.
-    pub fn poll(&mut self, tell: &mut dyn FnMut(String)) {
+    /// Looks at the free bytes once a second, and calls `tell` with what has changed. Returns whether there is room again.
+    pub fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool {
         if self.polled.is_some_and(|polled| polled.elapsed() < POLL_PERIOD) {
-            return;
+            return false;
         }
         self.polled = Some(Instant::now());
         let free = [free_bytes(Path::new(SHARED_MEMORY)), free_bytes(&self.folder)];
-        self.judge(free, tell);
+        self.judge(free, tell)
     }
 
-    fn judge(&mut self, free: [Option<u64>; 2], tell: &mut dyn FnMut(String)) {
+    fn judge(&mut self, free: [Option<u64>; 2], tell: &mut dyn FnMut(String)) -> bool {
+        let mut has_room_again = false;
         let disk = self.folder.display().to_string();
         let consequences = [
             (SHARED_MEMORY, "processes of the fleet will end with signal 7 (SIGBUS)"),
@@ -160,11 +157,15 @@ impl ResourceMonitor {
                 (false, true) => {
                     tell(format!("{place} is nearly full ({} free): {consequence}", megabytes(free)))
                 }
-                (true, false) => tell(format!("{place} has room again ({} free)", megabytes(free))),
+                (true, false) => {
+                    has_room_again = true;
+                    tell(format!("{place} has room again ({} free)", megabytes(free)));
+                }
                 _ => {}
             }
             *is_short = now_short;
         }
+        has_room_again
     }
 }
 
@@ -192,9 +193,9 @@ mod tests {
     fn a_full_file_system_is_reported_once_and_its_end_too() {
         let mut monitor = ResourceMonitor::new(Path::new("/run"));
         let mut told = Vec::new();
-        for free in [1 << 30, 100, 50, 1 << 30] {
-            monitor.judge([Some(free), None], &mut |event| told.push(event));
-        }
+        let judged = [1 << 30, 100, 50, 1 << 30]
+            .map(|free| monitor.judge([Some(free), None], &mut |event| told.push(event)));
+        assert_eq!(judged, [false, false, false, true]);
         assert_eq!(told.len(), 2, "{told:?}");
         assert!(told[0].contains("SIGBUS") && told[1].contains("room again"), "{told:?}");
     }

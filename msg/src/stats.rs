@@ -83,9 +83,9 @@ pub struct RobotStats {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct ProcessStats {
-    /// Newest health message of the process; `role` 0 means that there is no such process.
+    /// Newest health message of the process; `role` 0 means that there is no such process, `pid` 0 that it has not reported.
     pub health: ProcessHealth,
-    /// Time since `health` was received, seconds.
+    /// Time since `health` was received, or since telemetry awaits it, seconds.
     pub age_s: f64,
     /// Number of times that the process was restarted.
     pub restarts: u64,

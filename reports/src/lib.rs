@@ -4,12 +4,14 @@
 
 mod bridge_state;
 mod commands;
+mod events;
 mod exploration;
 mod graph_picture;
 mod html;
 mod map_picture;
 mod navigation;
 mod plots;
+mod scan_rates;
 mod series;
 mod system;
 pub mod terminal;
@@ -18,12 +20,14 @@ mod workload;
 
 pub use bridge_state::BridgeState;
 pub use commands::{edge_command_json, navigation_command_json, operator_event_json, slam_request_json};
+pub use events::{Event, Events};
 pub use exploration::{ExplorationSummary, known_area};
 pub use graph_picture::{GraphEdge, GraphNode, graph_picture, tree_picture};
 pub use html::{Page, Row};
 pub use map_picture::{Trail, map_picture};
 pub use navigation::{ExplorationView, NavigationView, RobotNavigationView};
 pub use plots::{Group, Line, line_plot, plot_over, quantile_plot};
+pub use scan_rates::ScanRates;
 pub use series::{DrivenTime, RobotSeries, Series, TeleoperationProfile, add_teleoperation};
 pub use system::{frame_tree, process_graph};
 pub use view::{

@@ -1,5 +1,6 @@
 //! Figures of a fleet as people and programs read them: tables and JSON.
 
+mod alarms;
 mod edges;
 mod layout;
 mod slam;
@@ -149,9 +150,10 @@ pub struct DistributionView {
 pub struct ProcessView {
     /// `sim of robot2`, `merge` ...
     pub process: String,
-    /// Process id of the operating system.
+    /// Process id of the operating system; 0: it has not reported.
     pub pid: u32,
-    /// `up`, `silent` if no heartbeat came for 2.5 s, or `ended` if its process is no more.
+    /// `up`, `silent` if no heartbeat came for 2.5 s, `not reporting` if none ever came, `ended` if its process is no more, or
+    /// `failing` if it dies again and again.
     pub state: &'static str,
     /// Number of restarts.
     pub restarts: u64,
@@ -204,8 +206,18 @@ impl FleetView {
 
     /// Marks the processes that are no more; `is_alive` tells it of a process id on this machine.
     pub fn with_ended_processes(mut self, is_alive: impl Fn(u32) -> bool) -> Self {
-        for process in self.processes.iter_mut().filter(|process| !is_alive(process.pid)) {
+        for process in self.processes.iter_mut().filter(|process| process.pid != 0 && !is_alive(process.pid))
+        {
             process.state = "ended";
+        }
+        self
+    }
+
+    /// Marks the processes that die again and again, as `is_failing` tells by their names.
+    #[must_use]
+    pub fn with_failing_processes(mut self, is_failing: impl Fn(&str) -> bool) -> Self {
+        for process in self.processes.iter_mut().filter(|process| is_failing(&process.process)) {
+            process.state = "failing";
         }
         self
     }
@@ -340,6 +352,11 @@ impl ProcessView {
     fn new(stats: &ProcessStats) -> Option<Self> {
         let health = &stats.health;
         let role = Role::from_code(health.role)?;
+        let has_reported = health.pid != 0;
+        // One that has just been started is not listed yet.
+        if !has_reported && stats.age_s < SILENT_AFTER_S {
+            return None;
+        }
         let process = match RobotId::new(health.robot as usize) {
             Some(robot) => format!("{} of {robot}", role.name()),
             None => role.name().into(),
@@ -347,7 +364,11 @@ impl ProcessView {
         Some(Self {
             process,
             pid: health.pid,
-            state: if stats.age_s < SILENT_AFTER_S { "up" } else { "silent" },
+            state: match (has_reported, stats.age_s < SILENT_AFTER_S) {
+                (false, _) => "not reporting",
+                (true, true) => "up",
+                (true, false) => "silent",
+            },
             restarts: stats.restarts,
             received: health.received,
             lost: health.lost,

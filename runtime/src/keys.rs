@@ -16,9 +16,6 @@ impl Keys {
     /// Makes the terminal deliver keys one by one without echo. Ctrl-C keeps its meaning.
     pub fn new() -> Self {
         let keyboard = stdin();
-        let foreground = || {
-            isatty(&keyboard) && tcgetpgrp(&keyboard).is_ok_and(|group| group == rustix::process::getpgrp())
-        };
         let set = || {
             let original_mode = tcgetattr(&keyboard).ok()?;
             let mut single_keys = original_mode.clone();
@@ -26,7 +23,7 @@ impl Keys {
             tcsetattr(&keyboard, OptionalActions::Now, &single_keys).ok()?;
             Some(original_mode)
         };
-        Self { original_mode: foreground().then(set).flatten() }
+        Self { original_mode: is_in_foreground().then(set).flatten() }
     }
 
     /// Returns whether keys can be read.
@@ -34,9 +31,10 @@ impl Keys {
         self.original_mode.is_some()
     }
 
-    /// Returns the next pressed key, if there is one. It never waits.
+    /// Returns the next pressed key, if there is one. It never waits. In the background it reads nothing: the terminal would stop
+    /// the process.
     pub fn next_key(&self) -> Option<char> {
-        self.original_mode.as_ref()?;
+        self.original_mode.as_ref().filter(|_| is_in_foreground())?;
         let keyboard = stdin();
         let mut ready = [PollFd::new(&keyboard, PollFlags::IN)];
         let now = Timespec { tv_sec: 0, tv_nsec: 0 };
@@ -46,6 +44,12 @@ impl Keys {
         let mut byte = [0; 1];
         (rustix::io::read(&keyboard, &mut byte).ok()? == 1).then(|| char::from(byte[0]))
     }
+}
+
+/// Returns whether this process is in the foreground of its terminal.
+fn is_in_foreground() -> bool {
+    let keyboard = stdin();
+    isatty(&keyboard) && tcgetpgrp(&keyboard).is_ok_and(|group| group == rustix::process::getpgrp())
 }
 
 impl Default for Keys {

@@ -15,6 +15,8 @@ use std::time::Duration;
 
 /// Bytes of a thread's entry: its count and its id in the operating system, each 8 bytes.
 const ENTRY_BYTES: usize = 16;
+/// Bytes of a process: its threads' entries, and 8 bytes that the launcher writes: whether the process is failing.
+const PROCESS_BYTES: usize = WatchedThread::COUNT * ENTRY_BYTES + 8;
 /// Shortest time between two counts: the watchdog needs no more, and a loop that is woken often pays nothing.
 const COUNT_PERIOD_NS: u64 = 50_000_000;
 
@@ -50,7 +52,7 @@ pub struct ProgressBoard {
 impl ProgressBoard {
     /// Creates the file with a counter of 0 for each thread of `processes` processes.
     pub fn create(domain: &Domain, processes: usize) -> io::Result<Self> {
-        let bytes = vec![0; processes * WatchedThread::COUNT * ENTRY_BYTES];
+        let bytes = vec![0; processes * PROCESS_BYTES];
         let mut options = OpenOptions::new();
         let file =
             options.read(true).write(true).create_new(true).mode(0o600).open(domain.progress_file())?;
@@ -62,7 +64,7 @@ impl ProgressBoard {
     /// Opens the file of a running fleet of `processes` processes, to look at it.
     pub fn open(domain: &Domain, processes: usize) -> io::Result<Self> {
         let file = File::open(domain.progress_file())?;
-        Ok(Self { file, bytes: vec![0; processes * WatchedThread::COUNT * ENTRY_BYTES] })
+        Ok(Self { file, bytes: vec![0; processes * PROCESS_BYTES] })
     }
 
     /// Reads all counters.
@@ -72,12 +74,23 @@ impl ProgressBoard {
 
     /// Returns the entry of a thread of the process with this index, as of the last [`ProgressBoard::read`].
     pub fn entry(&self, process: usize, thread: WatchedThread) -> Entry {
-        let word = |at: usize| {
-            let bytes = self.bytes.get(at..at + 8).and_then(|bytes| bytes.try_into().ok());
-            u64::from_le_bytes(bytes.unwrap_or_default())
-        };
         let at = entry_offset(process, thread);
-        Entry { count: word(at), thread: word(at + 8) as u32 }
+        Entry { count: self.word(at), thread: self.word(at + 8) as u32 }
+    }
+
+    /// Returns whether the launcher says of a process that it dies again and again, as of the last [`ProgressBoard::read`].
+    pub fn is_failing(&self, process: usize) -> bool {
+        self.word(failing_offset(process)) != 0
+    }
+
+    /// Says of a process whether it dies again and again.
+    pub fn set_failing(&self, process: usize, is_failing: bool) -> io::Result<()> {
+        self.file.write_all_at(&u64::from(is_failing).to_le_bytes(), failing_offset(process) as u64)
+    }
+
+    fn word(&self, at: usize) -> u64 {
+        let bytes = self.bytes.get(at..at + 8).and_then(|bytes| bytes.try_into().ok());
+        u64::from_le_bytes(bytes.unwrap_or_default())
     }
 
     /// Clears the entries of a process that is to be started.
@@ -90,7 +103,11 @@ impl ProgressBoard {
 }
 
 fn entry_offset(process: usize, thread: WatchedThread) -> usize {
-    (process * WatchedThread::COUNT + thread as usize) * ENTRY_BYTES
+    process * PROCESS_BYTES + thread as usize * ENTRY_BYTES
+}
+
+fn failing_offset(process: usize) -> usize {
+    process * PROCESS_BYTES + WatchedThread::COUNT * ENTRY_BYTES
 }
 
 /// Counter of one thread. It belongs to the thread that opened it.
@@ -149,6 +166,11 @@ pub fn sample(process: u32, thread: u32) -> ThreadSample {
     parse_stat(&stat).unwrap_or(gone)
 }
 
+/// Returns whether a process of this machine is stopped by a signal, as by Ctrl-Z.
+pub fn is_stopped(process: u32) -> bool {
+    sample(process, process).state == ThreadState::Stopped
+}
+
 /// Returns whether a process of this machine runs or can run on.
 pub fn is_alive(process: u32) -> bool {
     sample(process, process).state != ThreadState::Gone
@@ -189,9 +211,19 @@ mod tests {
         let thread = rustix::thread::gettid().as_raw_nonzero().get() as u32;
         assert_eq!(board.entry(merge, WatchedThread::Second), Entry { count: 1, thread });
         assert_eq!(board.entry(merge, WatchedThread::Main), Entry::default());
+        board.set_failing(merge, true).unwrap();
         board.clear(merge).unwrap();
-        board.read().unwrap();
-        assert_eq!(board.entry(merge, WatchedThread::Second), Entry::default());
+        let mut reader = ProgressBoard::open(&domain, processes).unwrap();
+        reader.read().unwrap();
+        assert_eq!(reader.entry(merge, WatchedThread::Second), Entry::default());
+        assert_eq!(
+            [0, 1, 2].map(|process| reader.is_failing(process)),
+            [false, true, false],
+            "it is kept over a start"
+        );
+        board.set_failing(merge, false).unwrap();
+        reader.read().unwrap();
+        assert!(!reader.is_failing(merge));
         domain.remove();
         assert!(!domain.progress_file().exists());
         // Nobody watches any more: the thread works on.

@@ -10,8 +10,10 @@ const RESTART_DELAY: Duration = Duration::from_millis(200);
 const RESTART_DELAY_MAX: Duration = Duration::from_secs(5);
 /// Life time after which a child counts as recovered; its next death starts the back-off anew.
 const HEALTHY_AFTER: Duration = Duration::from_secs(10);
-/// Deaths in a row at which a process is given up, because restarts do not help.
-pub const DEATHS_MAX: u32 = 9;
+/// Deaths in a row from which on a process counts as failing: restarts do not help, but what it lacks may come back.
+pub const FAILING_DEATHS: u32 = 9;
+/// Time between the death of a failing process and its next start.
+pub const FAILING_DELAY: Duration = Duration::from_secs(30);
 
 /// The state of one process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,8 +28,6 @@ pub enum State {
         /// When it is to be started.
         until: Monotonic,
     },
-    /// The process is not started again, because it died too often.
-    GivenUp,
 }
 
 /// Decides when one process is started again.
@@ -67,25 +67,48 @@ impl RestartPolicy {
         self.starts += 1;
     }
 
-    /// Records that the process ended or could not be started; returns the new state.
-    pub fn on_death(&mut self, now: Monotonic) -> State {
-        if let State::Running { since } = self.state
-            && now.since(since) >= HEALTHY_AFTER.as_nanos() as u64
-        {
+    /// Records that the process ended or could not be started; returns whether it counts as failing from now on.
+    pub fn on_death(&mut self, now: Monotonic) -> bool {
+        if self.has_recovered(now) {
             self.deaths = 0;
         }
-        self.deaths += 1;
-        self.state = if self.deaths >= DEATHS_MAX {
-            State::GivenUp
-        } else {
-            let delay = match self.deaths {
-                1 => Duration::ZERO,
-                deaths => RESTART_DELAY.saturating_mul(1 << (deaths - 2)).min(RESTART_DELAY_MAX),
-            };
-            State::Waiting { until: Monotonic(now.0 + delay.as_nanos() as u64) }
+        self.deaths = self.deaths.saturating_add(1);
+        let delay = match self.deaths {
+            1 => Duration::ZERO,
+            deaths if deaths < FAILING_DEATHS => {
+                RESTART_DELAY.saturating_mul(1 << (deaths - 2)).min(RESTART_DELAY_MAX)
+            }
+            _ => FAILING_DELAY,
         };
-        self.state
+        self.state = State::Waiting { until: Monotonic(now.0 + delay.as_nanos() as u64) };
+        self.deaths == FAILING_DEATHS
     }
+
+    /// Returns whether the process died again and again, and has not lived for long since.
+    pub fn is_failing(&self, now: Monotonic) -> bool {
+        self.deaths >= FAILING_DEATHS && !self.has_recovered(now)
+    }
+
+    /// Ends the wait of a failing process: what it lacked may be there again.
+    pub fn retry_if_failing(&mut self, now: Monotonic) {
+        if let State::Waiting { until } = &mut self.state
+            && self.deaths >= FAILING_DEATHS
+        {
+            *until = now.min(*until);
+        }
+    }
+
+    fn has_recovered(&self, now: Monotonic) -> bool {
+        matches!(self.state, State::Running { since } if now.since(since) >= HEALTHY_AFTER.as_nanos() as u64)
+    }
+}
+
+/// Says that a process counts as failing, to follow its name.
+pub fn failing_text() -> String {
+    format!(
+        "died {FAILING_DEATHS} times in a row; from now on it is started every {} s",
+        FAILING_DELAY.as_secs()
+    )
 }
 
 #[cfg(test)]
@@ -93,29 +116,57 @@ mod tests {
     use super::*;
 
     const SECOND: u64 = 1_000_000_000;
+    const DEATHS: usize = 2 * FAILING_DEATHS as usize;
 
-    /// Returns the wait after each death in a row, milliseconds, until the process is held.
-    fn delays(lives: u64) -> Vec<u64> {
+    /// Returns the wait after each death in a row, milliseconds, and the death at which the process began to fail.
+    fn delays(life: u64) -> (Vec<u64>, Option<usize>) {
         let (mut policy, mut now) = (RestartPolicy::new(Monotonic(0)), 0);
-        let mut delays = Vec::new();
-        for _ in 0..2 * DEATHS_MAX {
+        let (mut delays, mut failing) = (Vec::new(), None);
+        for death in 1..=DEATHS {
             policy.on_started(Monotonic(now));
-            now += lives;
-            let State::Waiting { until } = policy.on_death(Monotonic(now)) else { break };
+            now += life;
+            if policy.on_death(Monotonic(now)) {
+                assert_eq!(failing.replace(death), None, "it is told once");
+            }
+            let State::Waiting { until } = policy.state() else { panic!("it is not started again") };
             assert!(policy.is_due(until) && (until.0 == now || !policy.is_due(Monotonic(until.0 - 1))));
+            assert_eq!(policy.is_failing(until), failing.is_some());
             delays.push((until.0 - now) / 1_000_000);
             now = until.0;
         }
-        delays
+        (delays, failing)
     }
 
     #[test]
-    fn back_off_doubles_to_five_seconds_and_ends_at_the_ninth_death() {
-        assert_eq!(delays(SECOND), [0, 200, 400, 800, 1600, 3200, 5000, 5000]);
+    fn back_off_doubles_to_five_seconds_and_from_the_ninth_death_on_a_start_is_tried_for_ever() {
+        let (delays, failing) = delays(SECOND);
+        assert_eq!(delays[..8], [0, 200, 400, 800, 1600, 3200, 5000, 5000]);
+        assert!(delays[8..].iter().all(|delay| *delay == 30_000));
+        assert_eq!(failing, Some(9));
     }
 
     #[test]
     fn a_process_that_lived_ten_seconds_is_started_at_once() {
-        assert_eq!(delays(10 * SECOND), vec![0; 2 * DEATHS_MAX as usize]);
+        assert_eq!(delays(10 * SECOND), (vec![0; DEATHS], None));
+    }
+
+    #[test]
+    fn a_failing_process_is_started_at_once_when_there_is_room_again_and_then_recovers() {
+        let mut policy = RestartPolicy::new(Monotonic(0));
+        for _ in 1..FAILING_DEATHS {
+            policy.on_death(Monotonic(0));
+            policy.retry_if_failing(Monotonic(0));
+        }
+        assert!(!policy.is_due(Monotonic(0)), "a process that does not fail keeps its back-off");
+        policy.on_death(Monotonic(0));
+        let room = Monotonic(SECOND);
+        assert!(!policy.is_due(room));
+        policy.retry_if_failing(room);
+        assert!(policy.is_due(room) && policy.is_failing(room));
+        policy.on_started(room);
+        let well = Monotonic(12 * SECOND);
+        assert!(policy.is_failing(Monotonic(2 * SECOND)) && !policy.is_failing(well));
+        policy.on_death(well);
+        assert!(!policy.is_failing(well) && policy.is_due(well));
     }
 }

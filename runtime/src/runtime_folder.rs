@@ -4,9 +4,8 @@
 //! folder, and what the processes need to talk to each other. Only this user can write there, so that nobody can put
 //! files in its way or pretend to be a fleet. Folders that others own or may write to are ignored.
 
-use rustix::fs::{FlockOperation, Mode, OFlags, flock};
-use rustix::io::Errno;
-use std::fs::{self, DirBuilder, File};
+pub use crate::file_lock::Lock;
+use std::fs::{self, DirBuilder};
 use std::hash::{BuildHasher, Hasher};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
@@ -170,30 +169,6 @@ fn home(outlives_session: bool) -> Result<PathBuf, TrustError> {
     Err(refused.unwrap_or_else(missing))
 }
 
-/// A locked file. The lock ends with the process.
-#[derive(Debug)]
-pub struct Lock(#[expect(dead_code, reason = "the open file holds the lock")] File);
-
-impl Lock {
-    /// Locks a file of this user, which is made if it does not exist. `None`: another process holds the lock.
-    pub fn acquire(path: &Path) -> io::Result<Option<Self>> {
-        let flags = OFlags::CREATE | OFlags::RDWR | OFlags::NOFOLLOW | OFlags::CLOEXEC;
-        let file = File::from(rustix::fs::open(path, flags, Mode::RUSR | Mode::WUSR)?);
-        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => Ok(Some(Self(file))),
-            Err(Errno::WOULDBLOCK) => Ok(None),
-            Err(why) => Err(why.into()),
-        }
-    }
-
-    /// Returns whether a process holds the lock of a file.
-    pub fn is_held(path: &Path) -> bool {
-        let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
-        let Ok(file) = rustix::fs::open(path, flags, Mode::empty()) else { return false };
-        flock(&file, FlockOperation::NonBlockingLockShared) == Err(Errno::WOULDBLOCK)
-    }
-}
-
 /// Place of a new fleet in the folder.
 #[derive(Debug)]
 pub struct FleetPlace {
@@ -201,8 +176,8 @@ pub struct FleetPlace {
     pub name: String,
     /// The fleet's own folder.
     pub root: PathBuf,
-    /// Held while the launcher lives.
-    pub lock: Lock,
+    /// Locks of a file in the folder and of the folder itself, held while the launcher lives.
+    pub locks: [Lock; 2],
 }
 
 /// Makes the folder of a new fleet. `remove` is called before with the name and folder of each fleet whose launcher is
@@ -230,9 +205,11 @@ pub fn create_place(
     let name = format!("{}_{random:08x}", std::process::id());
     let root = home.join(&name);
     DirBuilder::new().mode(0o700).create(&root).map_err(failed(&root))?;
-    let lock = Lock::acquire(&root.join(LOCK)).map_err(failed(&root))?;
-    let lock = lock.ok_or_else(|| failed(&root)(io::ErrorKind::WouldBlock.into()))?;
-    Ok(FleetPlace { name, root, lock })
+    let held = |lock: io::Result<Option<Lock>>| {
+        lock.and_then(|lock| lock.ok_or(io::ErrorKind::WouldBlock.into())).map_err(failed(&root))
+    };
+    let locks = [held(Lock::acquire(&root.join(LOCK)))?, held(Lock::acquire_folder(&root))?];
+    Ok(FleetPlace { name, root, locks })
 }
 
 /// Calls `remove` for each fleet in a folder whose launcher is dead.
@@ -245,7 +222,8 @@ fn leftovers(home: &Path, mut remove: impl FnMut(&str, &Path)) {
             age.and_then(|changed| SystemTime::now().duration_since(changed).ok())
                 .is_none_or(|age| age < UNLOCKED_AGE_MAX)
         };
-        let is_dead = if lock.exists() { !Lock::is_held(&lock) } else { !is_young() };
+        let is_unlocked = if lock.exists() { !Lock::is_held(&lock) } else { !is_young() };
+        let is_dead = is_unlocked && !Lock::is_held(&root);
         if is_dead {
             remove(name, &root);
         }
@@ -260,7 +238,8 @@ fn subfolders(home: &Path) -> Vec<PathBuf> {
 
 /// Returns whether the launcher of the fleet in this folder lives.
 pub fn is_alive(root: &Path) -> bool {
-    check_folder(root, Forbidden::Everything).is_ok() && Lock::is_held(&root.join(LOCK))
+    check_folder(root, Forbidden::Everything).is_ok()
+        && (Lock::is_held(&root.join(LOCK)) || Lock::is_held(root))
 }
 
 /// Returns the folders of all fleets of this user whose launcher lives.
@@ -307,19 +286,20 @@ mod tests {
     }
 
     #[test]
-    fn a_lock_is_held_by_one_and_never_through_a_link() {
+    fn a_fleet_holds_its_folder_whose_files_may_be_removed() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("lock");
-        assert!(!Lock::is_held(&path));
-        let lock = Lock::acquire(&path).unwrap().unwrap();
-        assert!(Lock::is_held(&path) && Lock::acquire(&path).unwrap().is_none());
-        drop(lock);
-        assert!(!Lock::is_held(&path));
-        let victim = folder.path().join("victim");
-        fs::write(&victim, "precious").unwrap();
-        let link = folder.path().join("link");
-        symlink(&victim, &link).unwrap();
-        assert!(Lock::acquire(&link).is_err() && !Lock::is_held(&link));
+        let home = private(folder.path().join("home"));
+        let root = private(home.join("fleet"));
+        let file = Lock::acquire(&root.join(LOCK)).unwrap().unwrap();
+        let folder_lock = Lock::acquire_folder(&root).unwrap().unwrap();
+        fs::remove_file(root.join(LOCK)).unwrap();
+        drop(Lock::acquire(&root.join(LOCK)).unwrap());
+        let mut found = Vec::new();
+        leftovers(&home, |name, _| found.push(name.to_owned()));
+        assert!(is_alive(&root) && found.is_empty(), "{found:?}");
+        drop((file, folder_lock));
+        leftovers(&home, |name, _| found.push(name.to_owned()));
+        assert!(!is_alive(&root) && found == ["fleet"], "{found:?}");
     }
 
     #[test]

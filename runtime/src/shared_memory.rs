@@ -8,7 +8,8 @@
 mod domain;
 mod maps;
 
-pub use domain::{Domain, SHARED_MEMORY, create_ipc_folder, remove_leftovers};
+pub(crate) use domain::fleet_of_progress_file;
+pub use domain::{Domain, DomainGuard, SHARED_MEMORY, create_ipc_folder, remove_leftovers};
 pub use maps::{MapReader, MapWriter};
 
 use crate::channel::{Channel, Direction, Opener};

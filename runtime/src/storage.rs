@@ -86,3 +86,8 @@ impl Storage for DiskStorage {
 fn create_folder_of(path: &Path) -> io::Result<()> {
     path.parent().map_or(Ok(()), std::fs::create_dir_all)
 }
+
+/// Bytes that are free in the file system of a folder; `None`: it cannot be asked.
+pub fn free_bytes(folder: &Path) -> Option<u64> {
+    rustix::fs::statvfs(folder).ok().map(|about| about.f_bavail * about.f_frsize)
+}

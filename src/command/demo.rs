@@ -1,16 +1,15 @@
 //! Tool `mr-slam demo`, which runs a fleet with a scripted operator that drives it over TCP, as a headset would.
 
 use super::up::FleetHooks;
+use crate::child_process::{own_program, spawn};
 use crate::clock::now;
 use crate::progress;
-use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
+use crate::restarts::{RestartPolicy, failing_text};
 use crate::run::Run;
-use crate::shared_memory::close_descriptors_on_exec;
 use crate::watchdog::{Finding, Watchdog};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{self, Read};
-use std::os::unix::process::CommandExt;
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStdout, Stdio};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -71,7 +70,7 @@ impl OperatorProcess {
 
     fn start(&mut self) -> io::Result<()> {
         let Some(run) = &self.run else { return Ok(()) };
-        let mut command = Command::new(std::env::current_exe()?);
+        let mut command = own_program();
         command.args(["operator", "tour", "--json", "--port", &self.port.unwrap_or(run.port).to_string()]);
         command.args(["--robots", &run.config.fleet.robots.to_string()]);
         let names = &run.config.fleet.names;
@@ -84,9 +83,8 @@ impl OperatorProcess {
             let left = (seconds - self.begun.elapsed().as_secs_f64()).max(1.0);
             command.args(["--seconds", &left.to_string()]);
         }
-        close_descriptors_on_exec()?;
-        // A process group of its own: Ctrl-C reaches the launcher alone, which then asks for the report.
-        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0).spawn()?;
+        // Ctrl-C reaches the launcher alone, which then asks for the report.
+        let mut child = spawn(command.stdin(Stdio::null()).stdout(Stdio::piped()))?;
         self.printed = child.stdout.take().map(|out| std::thread::spawn(move || read_report(out)));
         self.child = Some(child);
         self.policy.on_started(now());
@@ -114,8 +112,8 @@ impl OperatorProcess {
 
     fn record_death(&mut self, tell: &mut dyn FnMut(String)) {
         self.deaths += 1;
-        if self.policy.on_death(now()) == State::GivenUp {
-            tell(format!("the operator died {DEATHS_MAX} times in a row and is not started again"));
+        if self.policy.on_death(now()) {
+            tell(format!("the operator {}", failing_text()));
         }
     }
 
@@ -161,6 +159,10 @@ impl FleetHooks for OperatorProcess {
             }
         }
         true
+    }
+
+    fn retry_failing(&mut self) {
+        self.policy.retry_if_failing(now());
     }
 
     fn on_stop(&mut self) -> Option<serde_json::Value> {

@@ -3,11 +3,11 @@
 
 use super::Error;
 use super::up::{FleetHooks, UpArgs, run_or_detach};
+use crate::child_process::{own_program, spawn};
 use crate::clock::now;
 use crate::config::RobotSource;
-use crate::process::link::{LinkReport, REPORT_AGE_MAX};
-use crate::progress;
-use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
+use crate::progress::{self, ProgressBoard, WatchedThread};
+use crate::restarts::{RestartPolicy, failing_text};
 use crate::run::Run;
 use crate::supervisor::START_MAX;
 use crate::watchdog::{Finding, Watchdog};
@@ -15,11 +15,9 @@ use link_transport::Endpoint;
 use link_transport::keys::{KeyFiles, KeyOwner};
 #[cfg(feature = "link")]
 use link_transport::{SessionConfig, SessionRole};
-use msg::Monotonic;
 use std::io;
-use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::Duration;
 
 /// Endpoint at which a base listens if nothing else is given.
@@ -28,8 +26,8 @@ const LISTEN_DEFAULT: &str = "quic/0.0.0.0:7447";
 #[cfg(feature = "link")]
 const SESSION_POLL: Duration = Duration::from_millis(20);
 
-/// Period at which the report is looked at.
-const REPORT_POLL: Duration = Duration::from_millis(200);
+/// Longest time without a pass of the link's loop; then it is judged whether the process hangs.
+const SILENCE_MAX: Duration = Duration::from_secs(3);
 
 /// Reason why a machine cannot take part in a fleet on several machines.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -261,19 +259,21 @@ pub fn run(args: &LinkArgs) -> Result<(), Error> {
     let over = || stop.requested();
     // It waits for the other machine, maybe for ever, and cannot be asked to end.
     let opening = std::thread::spawn(move || ZenohTransport::open(&config));
-    let mut report = link::OpeningReport::new(&run);
+    let mut progress = run.link_progress();
     while !opening.is_finished() {
         if over() {
             return Ok(());
         }
-        report.update(&run);
+        progress.advance();
         std::thread::sleep(SESSION_POLL);
     }
     let transport = opening.join().map_err(|_| LinkArgsError::Panic)??;
     if args.name.is_none() {
-        link::serve_link(&run, &mut BaseLink::open(&ports, &run, transport, run_stop, session)?, &over);
+        let mut end = BaseLink::open(&ports, &run, transport, run_stop, session)?;
+        link::serve_link(&run, &mut end, progress, &over)?;
     } else {
-        link::serve_link(&run, &mut RobotLink::open(&ports, &run, transport, run_stop, session)?, &over);
+        let mut end = RobotLink::open(&ports, &run, transport, run_stop, session)?;
+        link::serve_link(&run, &mut end, progress, &over)?;
     }
     Ok(())
 }
@@ -296,8 +296,8 @@ struct LinkProcess {
     child: Option<Child>,
     policy: RestartPolicy,
     watchdog: Watchdog,
-    /// Time at which the process's report is looked at next.
-    report_due: Monotonic,
+    /// Counters of the fleet's threads, of which the last is the link's.
+    progress: Option<ProgressBoard>,
 }
 
 impl LinkProcess {
@@ -312,42 +312,37 @@ impl LinkProcess {
             run: None,
             child: None,
             policy,
-            watchdog: Watchdog::new(START_MAX, REPORT_AGE_MAX, now()),
-            report_due: Monotonic(0),
+            watchdog: Watchdog::new(START_MAX, SILENCE_MAX, now()),
+            progress: None,
         }
     }
 
     fn start(&mut self) -> io::Result<()> {
         let Some(run) = &self.run else { return Ok(()) };
-        let mut command = Command::new(std::env::current_exe()?);
+        let mut command = own_program();
         command.arg("link").arg("--run-dir").arg(&run.dir);
         command.args(["--endpoint", &self.endpoint.to_string()]);
-        if let Some(name) = &self.name {
-            command.args(["--name", name]);
-        }
-        if self.behind_router {
-            command.arg("--behind-router");
-        }
+        command.args(self.name.iter().flat_map(|name| ["--name", name]));
+        command.args(self.behind_router.then_some("--behind-router"));
         if let Some(keys) = &self.keys {
             command.arg("--keys").arg::<&Path>(keys);
         }
-        // A process group of its own: Ctrl-C reaches the launcher alone.
-        self.child = Some(command.stdin(Stdio::null()).process_group(0).spawn()?);
+        self.child = Some(spawn(command.stdin(Stdio::null()))?);
         self.policy.on_started(now());
-        self.watchdog = Watchdog::new(START_MAX, REPORT_AGE_MAX, now());
+        self.watchdog = Watchdog::new(START_MAX, SILENCE_MAX, now());
         Ok(())
     }
 
-    /// Kills the process if it hangs, so that it is started again: it writes its report once a second.
+    /// Kills the process if it hangs, so that it is started again.
     fn end_if_hung(&mut self, tell: &mut dyn FnMut(String)) {
-        let (Some(run), Some(child)) = (&self.run, &mut self.child) else { return };
-        if now() < self.report_due {
+        let (Some(run), Some(child), Some(board)) = (&self.run, &mut self.child, &mut self.progress) else {
             return;
-        }
-        self.report_due = now() + REPORT_POLL;
-        let id = child.id();
-        let report = LinkReport::read(&run.dir).unwrap_or_default();
-        let count = if report.process == id { report.written_ns } else { 0 };
+        };
+        // Without the counters nobody can be judged. The next poll reads them again.
+        let Ok(()) = board.read() else { return };
+        let (id, entry) = (child.id(), board.entry(run.link_slot(), WatchedThread::Main));
+        // What the process before counted says nothing of this one.
+        let count = if entry.thread == id { entry.count } else { 0 };
         let finding = self.watchdog.poll(now(), count, || progress::sample(id, id));
         let Some(finding) = finding else { return };
         tell(format!("the link {finding}"));
@@ -358,14 +353,15 @@ impl LinkProcess {
     }
 
     fn record_death(&mut self, tell: &mut dyn FnMut(String)) {
-        if self.policy.on_death(now()) == State::GivenUp {
-            tell(format!("the link died {DEATHS_MAX} times in a row and is not started again"));
+        if self.policy.on_death(now()) {
+            tell(format!("the link {}", failing_text()));
         }
     }
 }
 
 impl FleetHooks for LinkProcess {
     fn on_start(&mut self, run: &Run) -> io::Result<()> {
+        self.progress = Some(ProgressBoard::open(&run.domain, run.progress_slots())?);
         self.run = Some(run.clone());
         self.start()
     }
@@ -385,6 +381,10 @@ impl FleetHooks for LinkProcess {
             self.record_death(tell);
         }
         true
+    }
+
+    fn retry_failing(&mut self) {
+        self.policy.retry_if_failing(now());
     }
 
     fn on_stop(&mut self) -> Option<serde_json::Value> {

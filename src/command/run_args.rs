@@ -40,7 +40,8 @@ fn open_newest(mut fleets: RunningFleets) -> Result<Run, RunError> {
             fleets.lost.iter().for_each(|fleet| output::note(&fleet.to_string()));
             Run::open_running(&dir)
         }
-        None if fleets.lost.is_empty() => Err(RunError::NoneRunning),
-        None => Err(RunError::Lost(fleets.lost)),
+        None if !fleets.lost.is_empty() => Err(RunError::Lost(fleets.lost)),
+        None if !fleets.others.is_empty() => Err(RunError::OthersRunning(fleets.others)),
+        None => Err(RunError::NoneRunning),
     }
 }

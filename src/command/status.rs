@@ -9,6 +9,7 @@ use crate::observer::Observer;
 use crate::ports::ChannelError;
 use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport, REPORT_AGE_MAX};
+use crate::progress;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, Reader, wait};
 use msg::{ExplorationReport, Monotonic, NavigationReport, RobotId};
@@ -77,7 +78,8 @@ pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
     let mut states = NavigationStates::open(&run)?;
     let (fleet, link) = (newest_figures(&run)?, link_figures(&run));
     let navigation = states.newest();
-    let of_link: Vec<String> = link.iter().flatten().filter_map(line).collect();
+    let of_link: Vec<String> =
+        launcher_line(&run).into_iter().chain(link.iter().flatten().filter_map(line)).collect();
     let stop_latched = stop_file(&run.dir).try_exists().ok();
     let text = || {
         let age_s = crate::clock::now().since(run.begun) as f64 * 1e-9;
@@ -101,6 +103,16 @@ pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
         Some(why) => Err(StatusError::BridgeSilent { run: run.dir, why }),
         None => Ok(()),
     }
+}
+
+/// Says that the launcher is stopped, as by Ctrl-Z, if it is.
+fn launcher_line(run: &Run) -> Option<String> {
+    let pid = run.pid;
+    progress::is_stopped(pid).then(|| {
+        format!(
+            "the launcher (process {pid}) is stopped, and starts no process that ends: `fg` in its terminal, or `kill -CONT {pid}`"
+        )
+    })
 }
 
 /// Says what the run's folder says of the emergency stop, where the bridge says nothing.

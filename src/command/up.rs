@@ -2,11 +2,9 @@
 
 mod console;
 mod detach;
-mod events;
 pub(super) mod page;
 mod pictures;
 mod report;
-mod scan_rates;
 mod screen;
 pub(super) mod system;
 
@@ -22,15 +20,13 @@ use crate::offered_room;
 use crate::resources::{self, ResourceMonitor, Shortage};
 use crate::run::{Run, RunError, create_new_folder, keep_earlier_results};
 use crate::sessions;
+use crate::shared_memory::DomainGuard;
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
 use bridge::dds::{Discovery, DiscoveryVariables};
 use console::OperatorConsole;
-use events::Events;
 pub use pictures::add_plots;
-use reports::FleetView;
-use reports::Series;
-pub use scan_rates::ScanRates;
+use reports::{Events, FleetView, ScanRates, Series};
 use screen::Screen;
 use std::net::{IpAddr, TcpListener};
 use std::path::{Path, PathBuf};
@@ -131,12 +127,20 @@ pub enum UpError {
         /// End of the log.
         words: String,
     },
+    /// The fleet in the background lives, but its first process does not work yet.
+    #[error("the fleet (process {pid}) does not work yet, and goes on trying; its log is {}, and `kill {pid}` ends it", log.display())]
+    SlowStart {
+        /// Process id of the launcher.
+        pid: u32,
+        /// Path of the log.
+        log: PathBuf,
+    },
     /// The machine has too little of a resource.
     #[error(transparent)]
     Shortage(#[from] Shortage),
-    /// Processes died so often that they were not started again. What there is of results is written.
-    #[error("not a whole fleet: {} died again and again, and did not run at the end; the messages above say of what", .0.join(", "))]
-    GivenUp(Vec<String>),
+    /// Processes died again and again until the end. What there is of results is written.
+    #[error("not a whole fleet: {} died again and again until the end; the messages above say of what", .0.join(", "))]
+    Failing(Vec<String>),
     /// Some results cannot be written. The others are there.
     #[error("not everything was written: {}", .0.join("; "))]
     NotWritten(Vec<String>),
@@ -194,6 +198,8 @@ pub trait FleetHooks {
     fn on_start(&mut self, run: &Run) -> std::io::Result<()>;
     /// Called every 50 ms; must not block. `tell` is called with each event. Returning false ends the fleet.
     fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool;
+    /// Called when a file system that was full has room again: processes that died for it are started at once.
+    fn retry_failing(&mut self) {}
     /// Called once before the fleet ends. The returned value becomes `operator` in the report.
     fn on_stop(&mut self) -> Option<serde_json::Value>;
 }
@@ -245,11 +251,10 @@ pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Rep
     let mut count = 0;
     loop {
         let run = Run::create(&offered_room::folder(&folder, count), config, port, args.in_background)?;
-        offered_room::remove_old(&run)?;
-        let result = run_created(&run, listener.try_clone()?, args, hooks, stop);
         // A fleet that did not start leaves nothing either.
-        run.domain.remove();
-        let report = result?;
+        let _guard = DomainGuard::new(run.domain.clone());
+        offered_room::remove_old(&run)?;
+        let report = run_created(&run, listener.try_clone()?, args, hooks, stop)?;
         match offered_room::accepted(&run).filter(|_| !stop.requested()) {
             Some(room) => config = offered_room::fleet_in(&run.config, &room),
             None => return Ok(report),
@@ -275,7 +280,7 @@ fn run_created(
     check_resources(run, &mut screen)?;
     let mut supervisor = Supervisor::start(run, listener)?;
     let result = watch(run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
-    let given_up = supervisor.given_up();
+    let failing = supervisor.failing();
     let lost = supervisor.end();
     let mut report = result?;
     report.not_written.extend(lost);
@@ -283,9 +288,9 @@ fn run_created(
     screen.end(&report);
     let mut missing = report.not_written.clone();
     missing.extend(written.err().map(|why| why.to_string()));
-    match (missing.is_empty(), given_up.is_empty()) {
+    match (missing.is_empty(), failing.is_empty()) {
         (false, _) => Err(UpError::NotWritten(missing)),
-        (true, false) => Err(UpError::GivenUp(given_up)),
+        (true, false) => Err(UpError::Failing(failing)),
         (true, true) => Ok(report),
     }
 }
@@ -316,12 +321,11 @@ fn watch(
         }
         supervisor.tend(&mut |role, robot| observer.last_seen(role, robot), &mut tell);
         let has_new_stats = observer.poll();
-        resources.poll(&mut tell);
-        for edge in observer.changed_edges() {
-            let event = edge.to_string();
-            screen.show_event(&event);
-            events.push(begun.elapsed(), event);
+        if resources.poll(&mut tell) {
+            supervisor.retry_failing();
+            hooks.retry_failing();
         }
+        observer.changed_edges().iter().for_each(|edge| tell(edge.to_string()));
         if has_new_stats && let Some(mut fleet) = fleet_view(run, &observer, console.refreshed()) {
             rates.add(&fleet);
             rates.fill(&mut fleet);

@@ -153,7 +153,7 @@ impl Member {
     pub fn start_due(&self) -> Option<Monotonic> {
         match self.policy.state() {
             State::Waiting { until } => Some(until.max(self.back_at)),
-            State::Running { .. } | State::GivenUp => None,
+            State::Running { .. } => None,
         }
     }
 

@@ -12,6 +12,7 @@ mod stop;
 mod tests;
 
 pub use base::BaseLink;
+use report::ReportFile;
 pub use report::{LinkReport, PeerReport, ReportLink};
 pub use robot::RobotLink;
 pub use stop::{BASE_STATE_PERIOD, ROBOT_STATE_PERIOD, RunStop, StopControl};
@@ -19,7 +20,9 @@ pub use stop::{BASE_STATE_PERIOD, ROBOT_STATE_PERIOD, RunStop, StopControl};
 use crate::channel::{Opener, Program};
 use crate::clock::now;
 use crate::ports::ChannelError;
+use crate::process::file_thread::{JobThread, JobWorker as _};
 use crate::process::{Listens, ProcessLoop};
+use crate::progress::ProgressCounter;
 use crate::run::Run;
 use crate::shared_memory::{Listener, Participant, wait};
 use ::link::WireError;
@@ -67,53 +70,33 @@ impl InvalidMessages {
 
 /// Period at which the figures are written.
 const REPORT_PERIOD: Duration = Duration::from_secs(1);
-/// Age of the figures above which the link's process does not work.
+/// Age of the figures above which they say nothing of the present.
 pub const REPORT_AGE_MAX: Duration = Duration::from_secs(3);
 
-/// Runs one end of the link until `over` returns true, and writes its figures.
+/// Runs one end of the link until `over` returns true. Its figures are written on a thread of their own: a disk that is full or does
+/// not answer holds up no message.
+///
+/// # Errors
+/// The thread cannot be started.
 pub fn serve_link(
     run: &Run,
     link: &mut (impl ProcessLoop + Listens<Listener> + ReportLink),
+    mut progress: ProgressCounter,
     over: &dyn Fn() -> bool,
-) {
-    let heard_before = LinkReport::heard_before(run);
-    let (mut report_due, mut has_warned) = (now(), false);
+) -> std::io::Result<()> {
+    let mut files = JobThread::start(ReportFile::new(run))?;
+    let mut report_due = now();
     while !over() {
+        progress.advance();
         let due = link.step();
         if now() >= report_due {
             report_due = now() + REPORT_PERIOD;
-            if let Err(why) = link.report().write(run, &heard_before)
-                && !has_warned
-            {
-                has_warned = true;
-                tracing::warn!("{}: link.json: {why}", run.dir.display());
-            }
+            // While the disk does not answer, the newer figures follow later.
+            drop(files.submit(link.report()));
         }
         wait(link.listeners(), due);
     }
-}
-
-/// Says that the link's process works while it is not connected yet. Call it often.
-#[derive(Debug)]
-pub struct OpeningReport {
-    heard_before: Vec<String>,
-    due: Monotonic,
-}
-
-impl OpeningReport {
-    /// Begins with the robots that an earlier process of this run had heard.
-    pub fn new(run: &Run) -> Self {
-        Self { heard_before: LinkReport::heard_before(run), due: Monotonic(0) }
-    }
-
-    /// Writes the report if it is due.
-    pub fn update(&mut self, run: &Run) {
-        if now() >= self.due {
-            self.due = now() + REPORT_PERIOD;
-            // The launcher notices if none is written.
-            let _ = LinkReport::default().write(run, &self.heard_before);
-        }
-    }
+    Ok(())
 }
 
 /// Attaches the link's process to a run.

@@ -3,6 +3,7 @@
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, PLAN_RESOLUTION_M, ProcessLoop, serve};
 use crate::channel;
+use crate::clock::now;
 use crate::config::{FleetConfig, RobotSource};
 use crate::fleet::{self, FleetError};
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
@@ -28,6 +29,9 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let participant = run.attach(Role::Telemetry, None)?;
     let mut process = TelemetryProcess::open(&participant, run, None)?;
     process.awaited_room = draw_room_in_background(run);
+    for (row, robot) in run.config.processes() {
+        process.telemetry.expect_process(row.role, robot, now());
+    }
     serve(&mut process, run.progress(Role::Telemetry, None, WatchedThread::Main), &|| stop.requested());
     Ok(())
 }

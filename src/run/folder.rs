@@ -2,6 +2,7 @@
 
 use super::{Run, RunError, RunFile, create_folder};
 use crate::runtime_folder::Lock;
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// Name of the file that a run's launcher holds locked.
@@ -22,10 +23,14 @@ pub fn lock_folder(dir: &Path) -> Result<Lock, RunError> {
 /// folder's lock; `None` if the folder is there.
 ///
 /// # Errors
-/// The folder cannot be made, or another fleet runs in it.
+/// The folder cannot be looked at or made, or another fleet runs in it.
 pub fn restore_folder(run: &Run) -> Result<Option<Lock>, RunError> {
-    if run.dir.join("run.json").exists() {
-        return Ok(None);
+    let file = run.dir.join("run.json");
+    match std::fs::symlink_metadata(&file) {
+        Err(why) if why.kind() == ErrorKind::NotFound => {}
+        // A server that does not answer has the folder all the same.
+        Err(why) => return Err(RunError::file(&file)(why)),
+        Ok(_) => return Ok(None),
     }
     let lock = lock_folder(&create_folder(&run.dir)?)?;
     run.write_description()?;

@@ -2,14 +2,13 @@
 
 use super::{FILE_BYTES_MAX, Run, RunError, RunFile};
 use crate::config::RobotSource;
+use crate::other_fleets::{self, OtherFleet, RUN_POINTER, other_fleets};
 use crate::runtime_folder;
 use serde::Serialize;
 use std::fmt;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Name of the file with the path of the run's folder.
-const POINTER: &str = "run-dir";
 /// Name of the file that a fleet has whose robots are on other machines.
 const REMOTE_ROBOTS: &str = "remote-robots";
 
@@ -20,6 +19,8 @@ pub struct RunningFleets {
     pub runs: Vec<PathBuf>,
     /// Fleets whose run's folder cannot be read.
     pub lost: Vec<LostFleet>,
+    /// Fleets of other users, or of another place for runtime folders.
+    pub others: Vec<OtherFleet>,
 }
 
 /// Running fleet whose run's folder was moved or deleted, or cannot be read.
@@ -61,7 +62,8 @@ impl fmt::Display for LostFleet {
 impl RunningFleets {
     /// Finds all of them.
     pub fn find() -> Self {
-        Self::of(&runtime_folder::live_fleets())
+        let roots = runtime_folder::live_fleets();
+        Self { others: other_fleets(&roots), ..Self::of(&roots) }
     }
 
     /// Describes the fleets in these runtime folders, without those whose launcher is dead.
@@ -77,17 +79,17 @@ impl RunningFleets {
             }
         }
         found.sort();
-        Self { runs: found.into_iter().map(|(_, dir)| dir).collect(), lost }
+        Self { runs: found.into_iter().map(|(_, dir)| dir).collect(), lost, others: Vec::new() }
     }
 }
 
 /// Returns the start of the fleet in a runtime folder, in nanoseconds of CLOCK_MONOTONIC, and the folder of its run.
 fn begin_and_folder(root: &Path) -> Result<(u64, PathBuf), LostFleet> {
-    let pointer = root.join(POINTER);
-    let dir = formats::limited::read_text(&pointer, FILE_BYTES_MAX).map_err(|why| {
+    let pointer = root.join(RUN_POINTER);
+    let dir = formats::limited::read(&pointer, FILE_BYTES_MAX).map_err(|why| {
         LostFleet::new(root, None, format!("{}: {why}; it may be starting", pointer.display()))
     })?;
-    let dir = PathBuf::from(dir);
+    let dir = other_fleets::path(dir);
     match RunFile::read(&dir) {
         Ok(file) if file.runtime == *root => Ok((file.begun_ns, dir)),
         Ok(_) => {
@@ -107,7 +109,7 @@ pub(super) fn write_pointer(run: &Run) -> Result<(), RunError> {
     if run.config.world == RobotSource::Robots {
         write(REMOTE_ROBOTS, b"")?;
     }
-    write(POINTER, run.dir.as_os_str().as_encoded_bytes())
+    write(RUN_POINTER, run.dir.as_os_str().as_encoded_bytes())
 }
 
 #[cfg(test)]
@@ -126,7 +128,7 @@ mod tests {
         let (pid, domain) = (std::process::id(), "test".into());
         let file = RunFile { pid, domain, runtime: runtime.clone(), epoch_ns: 0, begun_ns, port: 0 };
         fs::write(dir.join("run.json"), serde_json::to_string(&file).unwrap()).unwrap();
-        fs::write(runtime.join(POINTER), dir.as_os_str().as_encoded_bytes()).unwrap();
+        fs::write(runtime.join(RUN_POINTER), dir.as_os_str().as_encoded_bytes()).unwrap();
         (runtime, dir)
     }
 
@@ -174,7 +176,7 @@ mod tests {
             ("moved", |dir, _| fs::rename(dir, dir.with_extension("moved")).unwrap()),
             ("without run.json", |dir, _| fs::remove_file(dir.join("run.json")).unwrap()),
             ("broken", |dir, _| fs::write(dir.join("run.json"), "{").unwrap()),
-            ("without its pointer", |_, root| fs::remove_file(root.join(POINTER)).unwrap()),
+            ("without its pointer", |_, root| fs::remove_file(root.join(RUN_POINTER)).unwrap()),
             ("used again", |dir, root| {
                 let json = fs::read_to_string(dir.join("run.json")).unwrap();
                 let other = json.replace(root.to_str().unwrap(), "/another");

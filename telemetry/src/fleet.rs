@@ -7,7 +7,7 @@ use crate::robot::RobotTelemetry;
 use crate::truth::ObservableArea;
 use msg::{
     FleetStats, Grid, GridView, GroundTruth, Header, MapTransforms, Monotonic, Pose2, PoseEstimate,
-    ProcessHealth, ROBOTS_MAX, RobotId, RobotStats, Stamp, Transforms,
+    ProcessHealth, ROBOTS_MAX, RobotId, RobotStats, Role, Stamp, Transforms,
 };
 
 /// Collects what the processes of a fleet send, and computes the fleet's statistics from it.
@@ -76,6 +76,11 @@ impl Telemetry {
         if GridView::new(&plan.header, &plan.cells).is_some() {
             self.room = Some(ObservableArea::new(plan, self.starts_m.iter().copied()));
         }
+    }
+
+    /// Names a process of the fleet, which is listed also if it never reports.
+    pub fn expect_process(&mut self, role: Role, robot: Option<RobotId>, now: Monotonic) {
+        self.processes.expect(role, robot, now);
     }
 
     /// Adds a robot's transforms, for their jitter.

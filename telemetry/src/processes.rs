@@ -1,6 +1,6 @@
 //! Health of the fleet's processes, as they report it.
 
-use msg::{Monotonic, PROCESSES_MAX, ProcessHealth, ProcessStats, ROBOTS_MAX, Role};
+use msg::{Monotonic, PROCESSES_MAX, ProcessHealth, ProcessStats, ROBOTS_MAX, RobotId, Role};
 
 /// The newest report of each process: sim and slam of each robot, then merge, telemetry, bridge, record, nav.
 pub(crate) struct ProcessTable {
@@ -13,6 +13,8 @@ struct Report {
     health: ProcessHealth,
     received: Monotonic,
     restarts: u64,
+    /// Whether the process has reported. Until then there are only its role and robot, and since when a report is awaited.
+    has_reported: bool,
 }
 
 impl ProcessTable {
@@ -21,15 +23,23 @@ impl ProcessTable {
         Self { robot_count: robot_count.min(ROBOTS_MAX), slots: [None; PROCESSES_MAX] }
     }
 
+    /// Adds a process of the fleet from which reports are awaited, so that one that never reports is listed, too.
+    pub fn expect(&mut self, role: Role, robot: Option<RobotId>, now: Monotonic) {
+        let robot = robot.map_or(0, |robot| robot.number() as u32);
+        let health = ProcessHealth { role: role as u32, robot, ..ProcessHealth::default() };
+        let Some(slot) = self.slot(&health).and_then(|slot| self.slots.get_mut(slot)) else { return };
+        slot.get_or_insert(Report { health, received: now, restarts: 0, has_reported: false });
+    }
+
     /// Records a report. One of a role or robot that the fleet does not have is ignored.
     pub fn receive(&mut self, health: &ProcessHealth, received: Monotonic) {
         let Some(slot) = self.slot(health).and_then(|slot| self.slots.get_mut(slot)) else { return };
-        let counted = slot.map_or(0, |report| {
+        let counted = slot.filter(|report| report.has_reported).map_or(0, |report| {
             report.restarts + u64::from(report.health.header.incarnation != health.header.incarnation)
         });
         // The launcher knows of processes that died before their first report, and before this process started.
         let restarts = counted.max(health.restarts);
-        *slot = Some(Report { health: *health, received, restarts });
+        *slot = Some(Report { health: *health, received, restarts, has_reported: true });
     }
 
     fn slot(&self, health: &ProcessHealth) -> Option<usize> {
@@ -81,6 +91,26 @@ mod tests {
         for role in Role::ALL {
             assert!(roles.contains(&(role as u32)), "{role:?} has no row in a fleet of {ROBOTS_MAX}");
         }
+    }
+
+    #[test]
+    fn a_process_that_never_reports_is_listed_with_the_time_since_it_is_awaited() {
+        let mut processes = ProcessTable::new(1);
+        let robot = RobotId::new(1);
+        processes.expect(Role::Slam, robot, Monotonic(1_000_000_000));
+        processes.expect(Role::Merge, None, Monotonic(1_000_000_000));
+        processes.expect(Role::Slam, RobotId::new(2), Monotonic(0));
+        let now = Monotonic(4_000_000_000);
+        let report = ProcessHealth { pid: 7, ..health_of(Role::Merge, 0, 1) };
+        processes.receive(&report, now);
+        let listed = processes.health(now).into_iter().filter(|process| process.health.role != 0);
+        let listed: Vec<_> = listed
+            .map(|process| (process.health.role, process.health.pid, process.age_s, process.restarts))
+            .collect();
+        assert_eq!(listed, [(Role::Slam as u32, 0, 3.0, 0), (Role::Merge as u32, 7, 0.0, 0)]);
+        // A report is not forgotten.
+        processes.expect(Role::Merge, None, now);
+        assert_eq!(processes.health(now)[2].health.pid, 7);
     }
 
     #[test]

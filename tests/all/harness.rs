@@ -101,8 +101,13 @@ pub struct Ended {
 impl Fleet {
     /// Starts `mr-slam COMMAND --port 0 ARGS` and waits until its run folder is complete.
     pub fn start(command: &str, args: &[&str]) -> Self {
+        Self::start_program(Path::new(env!("CARGO_BIN_EXE_mr-slam")), command, args)
+    }
+
+    /// The same with the program of another file.
+    pub fn start_program(program: &Path, command: &str, args: &[&str]) -> Self {
         let folder = Folder::new();
-        let mut child = mr_slam()
+        let mut child = Command::new(program)
             .args([command, "--port", "0", "--run-dir"])
             .arg(folder.path())
             .args(args)

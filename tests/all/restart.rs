@@ -137,3 +137,40 @@ fn the_operator_of_a_demo_comes_back() {
     assert_eq!(report.matches("the operator was started again").count(), 2, "{report}");
     assert!(report.contains("the operator has not answered"), "{report}");
 }
+
+#[test]
+fn a_process_is_started_again_after_the_program_was_replaced() {
+    let folder = Folder::new();
+    let program = folder.path().join("mr-slam");
+    std::fs::copy(env!("CARGO_BIN_EXE_mr-slam"), &program).unwrap();
+    let mut fleet = Fleet::start_program(&program, "up", &["--robots", "1"]);
+    let view = fleet.until("merging", |view| process(view, "merge").is_some());
+    // As an update does it: another file is there under this name.
+    std::fs::remove_file(&program).unwrap();
+    std::fs::write(&program, "another build").unwrap();
+    let killed = process(&view, "merge").unwrap().pid;
+    send(killed, Signal::KILL);
+    let view = fleet.until("merging", |view| {
+        process(view, "merge").is_some_and(|p| p.pid != killed && p.state == "up" && p.restarts == 1)
+    });
+    let pid = process(&view, "merge").unwrap().pid;
+    let read = |name: &str| std::fs::read_to_string(format!("/proc/{pid}/{name}")).unwrap();
+    assert_eq!((read("comm").trim(), read("cmdline").split('\0').next()), ("mr-slam", Some("mr-slam")));
+}
+
+#[test]
+fn a_launcher_that_is_stopped_is_told_by_status() {
+    let mut fleet = Fleet::start("up", &["--robots", "1"]);
+    fleet.until("a bridge", |view| process(view, "bridge").is_some());
+    let pid = fleet.run.pid;
+    let alarms = || {
+        let status = output(&["status", "--json", "--run-dir", fleet.folder.path().to_str().unwrap()]);
+        let status: serde_json::Value = serde_json::from_slice(&status.stdout).unwrap();
+        status["alarms"].to_string()
+    };
+    send(pid, Signal::STOP);
+    let stopped = alarms();
+    send(pid, Signal::CONT);
+    assert!(stopped.contains(&format!("kill -CONT {pid}")), "{stopped}");
+    assert!(!alarms().contains("kill -CONT"));
+}

@@ -10,9 +10,6 @@ const INDENT: usize = 9;
 /// Clients that the live table lists; `mr-slam status` lists all.
 const LIVE_CLIENTS_MAX: usize = 2;
 
-/// A simulated fleet has its first scans within this time of its start, seconds.
-const FIRST_SCAN_S: f64 = 5.0;
-
 const ROBOT_COLUMNS: [Column; 8] = [
     Column { heading: ["robot", ""], width: 8, is_left: true, drop_order: 0 },
     Column { heading: ["state", ""], width: 10, is_left: true, drop_order: 0 },
@@ -27,7 +24,7 @@ const ROBOT_COLUMNS: [Column; 8] = [
 const PROCESS_COLUMNS: [Column; 10] = [
     Column { heading: ["process", ""], width: 16, is_left: true, drop_order: 0 },
     Column { heading: ["pid", ""], width: 8, is_left: false, drop_order: 3 },
-    Column { heading: ["state", ""], width: 7, is_left: true, drop_order: 0 },
+    Column { heading: ["state", ""], width: 13, is_left: true, drop_order: 0 },
     Column { heading: ["restarts", ""], width: 8, is_left: false, drop_order: 1 },
     Column { heading: ["received", ""], width: 9, is_left: false, drop_order: 7 },
     Column { heading: ["lost", ""], width: 6, is_left: false, drop_order: 6 },
@@ -79,56 +76,6 @@ impl FleetView {
         let lines =
             |alarm: String| paint_lines(&style.wrap(&format!("! {alarm}"), 2), style, Emphasis::Alarm);
         self.alarms().into_iter().map(lines).collect()
-    }
-
-    /// Says that the bridge does not answer, and what is not known for that reason.
-    fn silence_line(&self) -> Option<String> {
-        let why = self.bridge_silence.as_ref()?;
-        let known = if self.bridge.is_some() { "; what is shown of them is from before" } else { "" };
-        Some(format!("{why}: emergency stop, drivers and clients are not known{known}"))
-    }
-
-    /// Lists what is wrong, for people.
-    pub fn alarms(&self) -> Vec<String> {
-        let mut alarms: Vec<String> = self.silence_line().into_iter().collect();
-        if self.bridge.as_ref().is_some_and(|bridge| bridge.stopped) {
-            alarms.push("EMERGENCY STOP is set: robots stand until key r or mr-slam release".into());
-        }
-        for robot in &self.robots {
-            if robot.is_lost() {
-                alarms.push(format!("{} is lost: it looks for its place in the map", robot.robot));
-            }
-            if robot.is_unreliable() {
-                alarms.push(format!(
-                    "{}'s map may be wrong: scans or odometry contradict it, the log says how",
-                    robot.robot
-                ));
-            }
-            if robot.has_stale_scans() {
-                alarms.push(format!("{}: no scan for a second or more", robot.robot));
-            }
-            if robot.scans == 0 && self.time_s >= FIRST_SCAN_S {
-                alarms.push(format!(
-                    "{}: no scan has come yet: what sends its scans does not run, or is not reached",
-                    robot.robot
-                ));
-            }
-            alarms.extend(old_map(robot));
-        }
-        for edge in self.merge_edges.iter().filter(|edge| edge.contradicted) {
-            alarms.push(format!(
-                "the maps of {} and {} contradict each other in {} of {} places: one of them is deformed, or lies wrong",
-                edge.a, edge.b, edge.contradicted_submaps, edge.compared_submaps
-            ));
-        }
-        for robot in &self.contradicted_starts {
-            alarms.push(format!("{robot}'s given start contradicts the maps: its place comes from the maps"));
-        }
-        for process in self.processes.iter().filter(|process| process.state != "up") {
-            let what = if process.state == "ended" { "has ended" } else { "does not answer" };
-            alarms.push(format!("{} {what}", process.process));
-        }
-        alarms
     }
 
     fn figures(&self, style: &Style) -> String {
@@ -188,7 +135,7 @@ impl FleetView {
         let row = |p: &super::ProcessView| -> Vec<Cell> {
             vec![
                 p.process.as_str().into(),
-                p.pid.to_string().into(),
+                if p.pid == 0 { "-".into() } else { p.pid.to_string().into() },
                 Cell::alarm_if(p.state != "up", p.state),
                 p.restarts.to_string().into(),
                 p.received.to_string().into(),
@@ -214,12 +161,6 @@ fn robot_row(robot: &super::RobotView) -> Vec<Cell> {
         robot.scan_to_pose_ms.p50_and_p99().into(),
         robot.pose_error_m.map_or_else(|| "-".into(), |error| format!("{error:.3}")).into(),
     ]
-}
-
-/// Says that a robot's part of the merged map is old, if it is.
-fn old_map(robot: &super::RobotView) -> Option<String> {
-    let age_s = robot.old_map_age_s()?;
-    Some(format!("{}'s part of the merged map is {age_s:.0} s old: nothing comes from its SLAM", robot.robot))
 }
 
 fn client_lines(bridge: &BridgeState, style: &Style) -> String {
@@ -328,7 +269,6 @@ mod tests {
         let fleet = FleetView::new(&stats).with_ended_processes(|pid| pid != 102);
         let states: Vec<&str> = fleet.processes.iter().map(|process| process.state).collect();
         assert_eq!(states, ["up", "silent", "ended"]);
-        assert!(fleet.live_table(&Style::PLAIN).contains("! merge has ended"));
     }
 
     #[test]

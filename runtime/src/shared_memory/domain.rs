@@ -41,22 +41,31 @@ pub fn remove_leftovers() {
     remove_leftovers_in(FsPath::new(SHARED_MEMORY));
 }
 
+/// Returns the name of a fleet and the rest of the name of one of its files in shared memory; `None`: it is none.
+fn fleet_of_file(file_name: &str) -> Option<(String, &str)> {
+    let parts: Vec<&str> = file_name.strip_prefix(PREFIX)?.splitn(NAME_PARTS + 1, '_').collect();
+    let [pid, random, rest] = parts[..] else { return None };
+    let is_name = pid.bytes().all(|byte| byte.is_ascii_digit())
+        && random.len() == RANDOM_DIGITS
+        && random.bytes().all(|byte| byte.is_ascii_hexdigit());
+    is_name.then(|| (format!("{pid}_{random}"), rest))
+}
+
+/// Returns the name of the fleet whose launcher holds a file of this name in shared memory.
+pub(crate) fn fleet_of_progress_file(file_name: &str) -> Option<String> {
+    fleet_of_file(file_name).filter(|(_, rest)| *rest == PROGRESS).map(|(name, _)| name)
+}
+
 fn remove_leftovers_in(folder: &FsPath) {
     let user = rustix::process::geteuid().as_raw();
     let mut is_dead = BTreeMap::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let file_name = entry.file_name().to_string_lossy().into_owned();
-        let Some(rest) = file_name.strip_prefix(PREFIX) else { continue };
-        let parts: Vec<&str> = rest.splitn(NAME_PARTS + 1, '_').collect();
-        let [pid, random, _] = parts[..] else { continue };
+        let Some((name, _)) = fleet_of_file(&file_name) else { continue };
         let Ok(about) = entry.path().symlink_metadata() else { continue };
-        let is_name = pid.bytes().all(|byte| byte.is_ascii_digit())
-            && random.len() == RANDOM_DIGITS
-            && random.bytes().all(|byte| byte.is_ascii_hexdigit());
-        if !is_name || about.uid() != user || !(about.is_file() || about.is_dir()) {
+        if about.uid() != user || !(about.is_file() || about.is_dir()) {
             continue;
         }
-        let name = format!("{pid}_{random}");
         let lock = folder.join(format!("{PREFIX}{name}_{PROGRESS}"));
         let is_old = || about.modified().ok().and_then(|at| at.elapsed().ok()) > Some(UNLOCKED_AGE_MAX);
         let dead = *is_dead.entry(name).or_insert_with(|| match lock.exists() {
@@ -165,6 +174,16 @@ impl Domain {
         }
     }
 
+    /// Removes all files of a run whose launcher seems to be dead. Returns false, and removes nothing, if it lives all the same: it
+    /// holds its file in shared memory.
+    pub fn remove_leftover(&self) -> bool {
+        let is_dead = !Lock::is_held(&self.progress_file());
+        if is_dead {
+            self.remove();
+        }
+        is_dead
+    }
+
     /// Removes all files of the run. Call it only when none of its processes lives, observers apart.
     ///
     /// An observer that detaches meanwhile still makes files of its own, so that the removal is repeated until nothing is left.
@@ -208,6 +227,30 @@ impl Domain {
     }
 }
 
+/// Removes the files of a run when it is dropped: a fleet that did not start leaves none.
+#[derive(Debug)]
+pub struct DomainGuard(Option<Domain>);
+
+impl DomainGuard {
+    /// Guards the files of a run.
+    pub fn new(domain: Domain) -> Self {
+        Self(Some(domain))
+    }
+
+    /// Leaves the files where they are.
+    pub fn keep(mut self) {
+        self.0 = None;
+    }
+}
+
+impl Drop for DomainGuard {
+    fn drop(&mut self) {
+        if let Some(domain) = &self.0 {
+            domain.remove();
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -223,6 +266,17 @@ mod tests {
         };
         assert_eq!(opened(vec!["full", "full"]), (Ok("open"), 0));
         assert_eq!(opened(vec!["full", "broken", "full"]), (Err("broken"), 1));
+    }
+
+    #[test]
+    fn what_a_live_launcher_has_in_shared_memory_is_no_leftover() {
+        let root = tempfile::tempdir().unwrap();
+        let name = format!("{}_{:08x}", std::process::id(), std::process::id() ^ 0x3c3c);
+        let domain = Domain::new(&name, root.path()).unwrap();
+        let lock = Lock::acquire(&domain.progress_file()).unwrap().unwrap();
+        assert!(!domain.remove_leftover() && domain.progress_file().exists() && root.path().exists());
+        drop(lock);
+        assert!(domain.remove_leftover() && !domain.progress_file().exists());
     }
 
     #[test]

@@ -75,6 +75,10 @@ struct OperatorAndHeadset {
 }
 
 impl FleetHooks for OperatorAndHeadset {
+    fn retry_failing(&mut self) {
+        self.operator.retry_failing();
+    }
+
     fn on_start(&mut self, run: &Run) -> io::Result<()> {
         let mut port = run.port;
         if !self.link.is_transparent() {

@@ -2,13 +2,13 @@
 
 use super::Experiment;
 use super::room::{self, MERGED_MAP};
-use crate::command::up::{Pictures, Report, ScanRates};
+use crate::command::up::{Pictures, Report};
 use crate::command::{Error, output};
 use crate::config::{FleetConfig, RobotSource};
 use crate::lockstep::Lockstep;
 use crate::stop::Stop;
 use msg::{MapTransforms, RobotId, VelocityCommand};
-use reports::{FleetView, Series};
+use reports::{FleetView, ScanRates, Series};
 use sim::Simulator;
 use std::collections::HashMap;
 use std::path::Path;

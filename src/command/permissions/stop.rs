@@ -5,6 +5,7 @@ use crate::command::output;
 use crate::config::RobotSource;
 use crate::control::{self, AskError, Request};
 use crate::emergency_stop_file::latch_while;
+use crate::other_fleets::OtherFleet;
 use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport};
 use crate::run::{LostFleet, Run, RunError, RunningFleets};
@@ -46,6 +47,25 @@ struct StoppedFleet {
     /// The fleet, if its run's folder cannot be read.
     #[serde(skip_serializing_if = "Option::is_none")]
     lost: Option<LostFleet>,
+    /// The fleet, if it is not found from here and was not asked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    other: Option<OtherFleet>,
+}
+
+impl From<OtherFleet> for StoppedFleet {
+    /// Describes a fleet that was not asked.
+    fn from(other: OtherFleet) -> Self {
+        Self {
+            run: other.run_dir.clone().unwrap_or_default(),
+            confirmed: false,
+            latched: false,
+            why: Some(other.to_string()),
+            unconfirmed: Vec::new(),
+            unheard: Vec::new(),
+            lost: None,
+            other: Some(other),
+        }
+    }
 }
 
 impl StoppedFleet {
@@ -55,6 +75,9 @@ impl StoppedFleet {
     }
 
     fn line(&self) -> String {
+        if let Some(other) = &self.other {
+            return format!("NOT STOPPED: {other}\n");
+        }
         let why = self.why.as_deref().unwrap_or_default();
         let unconfirmed = self.unconfirmed.join(", ");
         let (all, unheard) = match self.unheard.as_slice() {
@@ -89,14 +112,15 @@ impl StoppedFleet {
 
 /// Sets the emergency stop of the named fleet, or of all fleets.
 pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
-    let RunningFleets { runs, lost } = match &args.run.run_dir {
+    let RunningFleets { runs, lost, others } = match &args.run.run_dir {
         Some(dir) => named(dir)?,
         None => RunningFleets::find(),
     };
-    if runs.is_empty() && lost.is_empty() {
+    let mut fleets = stop_all(runs, lost);
+    fleets.extend(others.into_iter().map(StoppedFleet::from));
+    if fleets.is_empty() {
         return Err(RunError::NoneRunning.into());
     }
-    let fleets = stop_all(runs, lost);
     output::print_either(args.json, &fleets, || fleets.iter().map(StoppedFleet::line).collect())?;
     let (all, failed) = (fleets.len(), fleets.iter().filter(|fleet| fleet.may_drive()).count());
     if failed > 0 { Err(PermissionError::NotStopped { failed, all }) } else { Ok(()) }
@@ -111,10 +135,10 @@ fn named(dir: &Path) -> Result<RunningFleets, RunError> {
             let mut lost = RunningFleets::find().lost;
             lost.retain(|fleet| fleet.folder.as_deref() == Some(&absolute(dir)));
             // The error names the file that is missing.
-            if lost.is_empty() { Err(why) } else { Ok(RunningFleets { runs: Vec::new(), lost }) }
+            if lost.is_empty() { Err(why) } else { Ok(RunningFleets { lost, ..RunningFleets::default() }) }
         }
         // A run whose other files cannot be read is stopped all the same.
-        Ok(_) | Err(_) => Ok(RunningFleets { runs: vec![dir.into()], lost: Vec::new() }),
+        Ok(_) | Err(_) => Ok(RunningFleets { runs: vec![dir.into()], ..RunningFleets::default() }),
     }
 }
 
@@ -161,6 +185,7 @@ fn stop_lost(fleet: LostFleet) -> StoppedFleet {
         unconfirmed,
         unheard: Vec::new(),
         lost: Some(fleet),
+        other: None,
     }
 }
 
@@ -185,7 +210,7 @@ fn confirm(dir: PathBuf) -> StoppedFleet {
     let (confirmed, latched) = (asked.is_ok(), written.is_ok());
     let [unconfirmed, unheard] = asked.as_ref().ok().cloned().unwrap_or_default();
     let why = written.err().or(asked.err());
-    StoppedFleet { run: dir, confirmed, latched, why, unconfirmed, unheard, lost: None }
+    StoppedFleet { run: dir, confirmed, latched, why, unconfirmed, unheard, lost: None, other: None }
 }
 
 /// Returns the names of the robots on other machines that do not say in time that they are stopped, and of those that the base

@@ -1,17 +1,19 @@
 //! Start of a fleet in the background: option `--detach` of `mr-slam up` and `mr-slam demo`.
 
 use super::{UpError, page};
+use crate::child_process::own_program;
 use crate::command::output;
+use crate::progress::{ProgressBoard, WatchedThread};
 use crate::run::{self, Run};
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-/// Longest wait for the fleet in the background to describe itself.
-const START_WAIT_MAX: Duration = Duration::from_secs(10);
+/// Longest wait until the fleet in the background works: a slow disk may take its time.
+const START_WAIT_MAX: Duration = Duration::from_secs(60);
 /// Period at which its start is polled.
 const START_POLL: Duration = Duration::from_millis(50);
 /// Part of the log that is shown if it does not start, bytes.
@@ -25,7 +27,7 @@ pub(super) fn start(dir: &Path) -> Result<(), UpError> {
     options.create(true).append(true).mode(0o600).custom_flags(rustix::fs::OFlags::NOFOLLOW.bits() as i32);
     let log = options.open(&log_path)?;
     let log_begin = log.metadata()?.len();
-    let mut child = Command::new(std::env::current_exe()?)
+    let mut child = own_program()
         .args(std::env::args_os().skip(1))
         .arg("--in-background")
         .arg("--run-dir")
@@ -37,8 +39,7 @@ pub(super) fn start(dir: &Path) -> Result<(), UpError> {
     let begun = Instant::now();
     loop {
         match Run::open_running(&dir) {
-            // The supervisor creates the file before it starts the processes, after all checks.
-            Ok(run) if run.pid == child.id() && run.domain.progress_file().exists() => {
+            Ok(run) if run.pid == child.id() && is_working(&run) => {
                 let text = format!(
                     "fleet of {} robots in the background, process {}; headsets connect to port {}\n\
                      folder {}, log {}\nend it, with maps and report: kill {}\n",
@@ -55,14 +56,23 @@ pub(super) fn start(dir: &Path) -> Result<(), UpError> {
                     .collect::<String>();
                 return Ok(output::print(&(text + &page))?);
             }
-            _ if child.try_wait()?.is_some() || begun.elapsed() >= START_WAIT_MAX => {
-                let _ = child.kill();
-                let _ = child.wait();
+            _ if child.try_wait()?.is_some() => {
                 return Err(UpError::Background { words: end_of(&log_path, log_begin), log: log_path });
+            }
+            _ if begun.elapsed() >= START_WAIT_MAX => {
+                return Err(UpError::SlowStart { pid: child.id(), log: log_path });
             }
             _ => std::thread::sleep(START_POLL),
         }
     }
+}
+
+/// Returns whether a process of the fleet works.
+fn is_working(run: &Run) -> bool {
+    let slots = run.progress_slots();
+    let read = |mut board: ProgressBoard| board.read().map(|()| board);
+    let board = ProgressBoard::open(&run.domain, slots).and_then(read);
+    board.is_ok_and(|board| (0..slots).any(|process| board.entry(process, WatchedThread::Main).count > 0))
 }
 
 /// Returns the end of a log from `begin` on.

@@ -115,7 +115,7 @@ pub fn write_html(report: &Report) -> String {
     let events = &report.events.events;
     if !events.is_empty() {
         page.heading("Events");
-        let row = |event: &super::events::Event| vec![format!("{:.1}", event.at_s), event.event.clone()];
+        let row = |event: &reports::Event| vec![format!("{:.1}", event.at_s), event.event.clone()];
         let rows: Vec<Row> = events.iter().map(row).collect();
         page.table(&["time, s", "event"], &rows);
     }

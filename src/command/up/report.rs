@@ -1,11 +1,10 @@
 //! Report of a run, `report.json` for programs and a summary for people.
 
-use super::events::Events;
 use super::pictures::{Pictures, write_html};
 use crate::config::FleetConfig;
 use crate::nasa_tlx;
 use crate::run::{Run, RunError};
-use reports::{DistributionView, FleetView, RobotView, Series, Style, TlxEntry};
+use reports::{DistributionView, Events, FleetView, RobotView, Series, Style, TlxEntry};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::io::Write as _;

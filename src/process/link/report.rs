@@ -3,6 +3,7 @@
 use super::{BaseLink, RobotLink, StopControl};
 use crate::clock::now;
 use crate::ports::Ports;
+use crate::process::file_thread::FileJobs;
 use crate::run::Run;
 use ::link::ByteCounters;
 use link_transport::Transport;
@@ -64,7 +65,7 @@ impl LinkReport {
     }
 
     /// Returns the robots that an earlier process of this run had heard.
-    pub(super) fn heard_before(run: &Run) -> Vec<String> {
+    fn heard_before(run: &Run) -> Vec<String> {
         let before = Self::read(&run.dir).unwrap_or_default();
         let is_of_run = before.written_ns >= run.begun.0;
         let heard = before.peers.into_iter().filter(|peer| is_of_run && peer.was_heard);
@@ -72,7 +73,7 @@ impl LinkReport {
     }
 
     /// Writes the report of a run, with the time and those that were heard before.
-    pub(super) fn write(mut self, run: &Run, heard_before: &[String]) -> io::Result<()> {
+    fn write(mut self, run_dir: &Path, heard_before: &[String]) -> io::Result<()> {
         (self.written_ns, self.process) = (now().0, std::process::id());
         for name in heard_before {
             match self.peers.iter_mut().find(|peer| peer.robot == *name) {
@@ -83,13 +84,41 @@ impl LinkReport {
                 }
             }
         }
-        let json = serde_json::to_string_pretty(&self).unwrap_or_default();
-        formats::atomic::write(&path(&run.dir), |file| file.write_all(json.as_bytes()))
+        let json = serde_json::to_string_pretty(&self)?;
+        formats::atomic::write(&path(run_dir), |file| file.write_all(json.as_bytes()))
     }
 }
 
 fn path(run_dir: &Path) -> PathBuf {
     run_dir.join("link.json")
+}
+
+/// The file with the figures of the link, and the robots that an earlier process of this run had heard.
+pub(super) struct ReportFile {
+    run_dir: PathBuf,
+    heard_before: Vec<String>,
+    has_failed: bool,
+}
+
+impl ReportFile {
+    pub(super) fn new(run: &Run) -> Self {
+        Self { run_dir: run.dir.clone(), heard_before: LinkReport::heard_before(run), has_failed: false }
+    }
+}
+
+impl FileJobs for ReportFile {
+    type Job = LinkReport;
+    type Report = ();
+
+    fn run(&mut self, report: &LinkReport) {
+        let written = report.clone().write(&self.run_dir, &self.heard_before);
+        if let Err(why) = &written
+            && !self.has_failed
+        {
+            tracing::warn!("{}: link.json: {why}", self.run_dir.display());
+        }
+        self.has_failed = written.is_err();
+    }
 }
 
 /// One end of the link, whose figures are written.

@@ -1,6 +1,6 @@
 //! Mean scan rate of each robot over a run, from the counts in successive statistics.
 
-use reports::FleetView;
+use crate::FleetView;
 
 /// Counts of one robot.
 #[derive(Clone, Copy, Debug)]
