@@ -9,7 +9,7 @@
 //! | `link.json` | figures of the link to other machines, if there are several |
 //! | `recording/` | recording of the run, if there is one |
 //! | `results.earlier/`, `sessions/*.earlier` | maps, report and sessions of the run before in this folder |
-//! | maps, `report.json`, `report.html`; `launcher.log` | results, written at the end; messages with `--detach` |
+//! | maps, `report.json`, `report.html`; `launcher.log` | results, written at the end; messages of the processes |
 
 mod folder;
 mod running;

@@ -3,7 +3,7 @@
 //! What a dead child left in shared memory is removed before its restart. A child that hangs is killed, and started again
 //! like one that died.
 
-use crate::child_process::{describe_end, own_program, spawn};
+use crate::child_process::{describe_end, own_program, signal, spawn};
 use crate::clock::{RESTARTS_VARIABLE, now};
 use crate::emergency_stop_file::latch_stop;
 use crate::fleet;
@@ -14,10 +14,11 @@ use crate::restarts::{RestartPolicy, failing_text};
 use crate::run::{Run, restore_folder};
 use crate::runtime_folder::Lock;
 use crate::sessions;
+use crate::stop::Stop;
 use crate::storage::DiskStorage;
 use crate::watchdog::{Finding, Watchdog};
 use msg::{Monotonic, Pose2, RobotId, Role};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use std::io;
 use std::net::TcpListener;
 use std::os::fd::OwnedFd;
@@ -104,7 +105,7 @@ impl Supervisor {
         let missing = supervisor.members.iter().find(|member| member.child.is_none()).map(Member::name);
         match missing {
             Some(name) => {
-                supervisor.end();
+                supervisor.end(&Stop::default(), &mut |_| {});
                 Err(io::Error::other(format!("cannot start the {name}")))
             }
             None => Ok(supervisor),
@@ -293,8 +294,10 @@ impl Supervisor {
         self.members.iter().filter(|member| member.policy.is_failing(now())).map(Member::name).collect()
     }
 
-    /// Asks every child to end, kills those that do not, and removes the run's shared memory. Returns what is not saved.
-    pub fn end(&mut self) -> Vec<String> {
+    /// Asks every child to end, kills those that do not, and removes the run's shared memory. A further request of `stop` meanwhile
+    /// kills them at once. `tell` is called with what is waited for. Returns what is not saved.
+    pub fn end(&mut self, stop: &Stop, tell: &mut dyn FnMut(String)) -> Vec<String> {
+        let was_requested = stop.take();
         let children = || self.members.iter().filter_map(|member| member.child.as_ref());
         children().for_each(|child| signal(child, Signal::TERM));
         let (asked, mut lost) = (Instant::now(), Vec::new());
@@ -303,13 +306,21 @@ impl Supervisor {
             let grace = if unsaved.is_some() { WRITER_END_GRACE } else { END_GRACE };
             let name = member.name();
             let Some(child) = member.child.as_mut() else { continue };
-            while matches!(child.try_wait(), Ok(None)) && asked.elapsed() < grace {
+            let mut is_told = false;
+            while matches!(child.try_wait(), Ok(None)) && asked.elapsed() < grace && !stop.requested() {
+                if asked.elapsed() >= END_GRACE && !std::mem::replace(&mut is_told, true) {
+                    tell(format!("ending: waiting for the {name}; Ctrl-C again kills it"));
+                }
                 std::thread::sleep(Duration::from_millis(5));
             }
             let is_killed = matches!(child.try_wait(), Ok(None));
             if is_killed {
-                let text = format!("the {name} had not ended after {} s and was killed", grace.as_secs());
-                tracing::warn!("{text}");
+                let why = if stop.requested() { ", as a second request asked" } else { "" };
+                let text = format!(
+                    "the {name} had not ended after {} s and was killed{why}",
+                    asked.elapsed().as_secs()
+                );
+                tell(text.clone());
                 lost.extend(unsaved.map(|unsaved| format!("{text}: {unsaved}")));
             }
             let _ = child.kill();
@@ -321,6 +332,9 @@ impl Supervisor {
             lost.extend(unsaved.map(|unsaved| format!("the {name} failed: {unsaved}")));
         }
         self.run.domain.remove();
+        if was_requested {
+            stop.request();
+        }
         lost
     }
 }
@@ -360,12 +374,6 @@ fn notice_death(member: &mut Member, tell: &mut dyn FnMut(String)) -> bool {
 fn record_death(member: &mut Member, tell: &mut dyn FnMut(String)) {
     if member.policy.on_death(now()) {
         tell(format!("the {} {}", member.name(), failing_text()));
-    }
-}
-
-fn signal(child: &Child, signal: Signal) {
-    if let Some(pid) = Pid::from_raw(child.id() as i32) {
-        let _ = kill_process(pid, signal);
     }
 }
 

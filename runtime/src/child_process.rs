@@ -1,8 +1,9 @@
 //! Starts further processes of this program, also after its file was replaced by another build.
 
+use crate::child_messages::redirect;
 use crate::shared_memory::{SHARED_MEMORY, close_descriptors_on_exec};
 use crate::storage::free_bytes;
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal, kill_process};
 use std::io;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
@@ -20,13 +21,15 @@ pub fn own_program() -> Command {
     command
 }
 
-/// Starts a child that takes part in the fleet: it inherits no descriptors but its standard streams. It has a process group of its
+/// Starts a child that takes part in the fleet: it inherits no descriptors but its standard streams, and its messages are collected
+/// if [`crate::child_messages::ChildMessages`] are. It has a process group of its
 /// own, as Ctrl-C is for the launcher alone.
 ///
 /// # Errors
 /// The system cannot start it.
 pub fn spawn(command: &mut Command) -> io::Result<Child> {
     close_descriptors_on_exec()?;
+    redirect(command)?;
     command.process_group(0).spawn()
 }
 
@@ -52,6 +55,13 @@ pub fn describe_end(status: ExitStatus) -> String {
         (None, Some(SIGXFSZ)) => format!("signal {SIGXFSZ}: a file would exceed the limit of `ulimit -f`"),
         (None, Some(signal)) => format!("signal {signal}"),
         (None, None) => "no reason given".into(),
+    }
+}
+
+/// Sends a signal to a child that was not waited for yet.
+pub fn signal(child: &Child, signal: Signal) {
+    if let Some(pid) = Pid::from_raw(child.id() as i32) {
+        let _ = kill_process(pid, signal);
     }
 }
 

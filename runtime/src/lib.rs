@@ -17,11 +17,13 @@ pub mod progress;
 pub mod restarts;
 pub mod watchdog;
 // Files, signals and settings of a process, and the start of further ones.
+pub mod child_messages;
 pub mod child_process;
 pub mod emergency_stop_file;
 mod file_lock;
 mod held_signals;
 pub mod keys;
+pub mod lossy_path;
 pub mod other_fleets;
 pub mod realtime;
 pub mod recording_files;

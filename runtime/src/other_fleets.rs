@@ -28,6 +28,7 @@ pub struct OtherFleet {
     /// Whether that is this process's user.
     pub is_own: bool,
     /// Folder of the run; `None`: this user may not see it.
+    #[serde(serialize_with = "crate::lossy_path::serialize_optional")]
     pub run_dir: Option<PathBuf>,
 }
 

@@ -37,6 +37,11 @@ impl Stop {
         self.0.store(true, Ordering::Relaxed);
     }
 
+    /// Clears the flag; returns whether it was set. A further request sets it again.
+    pub fn take(&self) -> bool {
+        self.0.swap(false, Ordering::Relaxed)
+    }
+
     /// Returns whether the process should end.
     pub fn requested(&self) -> bool {
         self.0.load(Ordering::Relaxed)

@@ -1,13 +1,13 @@
 //! Tool `mr-slam demo`, which runs a fleet with a scripted operator that drives it over TCP, as a headset would.
 
 use super::up::FleetHooks;
-use crate::child_process::{own_program, spawn};
+use crate::child_process::{own_program, signal, spawn};
 use crate::clock::now;
 use crate::progress;
 use crate::restarts::{RestartPolicy, failing_text};
 use crate::run::Run;
 use crate::watchdog::{Finding, Watchdog};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use std::io::{self, Read};
 use std::process::{Child, ChildStdout, Stdio};
 use std::thread::JoinHandle;
@@ -167,9 +167,7 @@ impl FleetHooks for OperatorProcess {
 
     fn on_stop(&mut self) -> Option<serde_json::Value> {
         let Some(mut child) = self.child.take() else { return self.report.take() };
-        if let Some(pid) = Pid::from_raw(child.id() as i32) {
-            let _ = kill_process(pid, Signal::TERM);
-        }
+        signal(&child, Signal::TERM);
         let deadline = Instant::now() + REPORT_WAIT_MAX;
         while matches!(child.try_wait(), Ok(None)) && Instant::now() < deadline {
             std::thread::sleep(EXIT_POLL);

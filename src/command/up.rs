@@ -13,6 +13,7 @@ pub use report::{Paper, Report, Spread};
 
 use super::fleet_args::FleetArgs;
 use crate::certificate::CertificateError;
+use crate::child_messages::ChildMessages;
 use crate::config::{ConfigError, FleetConfig, ValueError};
 use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
@@ -278,10 +279,15 @@ fn run_created(
     keep_earlier_results(&run.dir)?;
     let mut screen = Screen::new(run, args.in_background);
     check_resources(run, &mut screen)?;
+    // In the background standard error is the log.
+    let log = (!args.in_background).then(|| run.dir.join("launcher.log"));
+    let messages = ChildMessages::collect(log)?;
     let mut supervisor = Supervisor::start(run, listener)?;
-    let result = watch(run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
+    let mut shown = (&mut screen, &messages);
+    let result = watch(run, args.seconds, &mut supervisor, hooks, &mut shown, stop);
     let failing = supervisor.failing();
-    let lost = supervisor.end();
+    let lost = supervisor.end(stop, &mut |text| screen.show_event(&text));
+    messages.end().iter().for_each(|line| screen.show_line(line));
     let mut report = result?;
     report.not_written.extend(lost);
     let written = report.write(&run.dir);
@@ -301,7 +307,7 @@ fn watch(
     seconds: Option<f64>,
     supervisor: &mut Supervisor,
     hooks: &mut dyn FleetHooks,
-    screen: &mut Screen,
+    (screen, messages): &mut (&mut Screen, &ChildMessages),
     stop: &Stop,
 ) -> Result<Report, UpError> {
     let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
@@ -332,6 +338,7 @@ fn watch(
             series.add(&fleet, |robot| observer.command(robot));
             screen.show(&fleet, console.help(), begun.elapsed(), seconds);
         }
+        messages.received().for_each(|line| screen.show_line(&line));
         screen.show_age();
         if let Some(done) = console.handle_key() {
             screen.show_event(&done);

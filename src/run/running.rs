@@ -2,6 +2,7 @@
 
 use super::{FILE_BYTES_MAX, Run, RunError, RunFile};
 use crate::config::RobotSource;
+use crate::lossy_path;
 use crate::other_fleets::{self, OtherFleet, RUN_POINTER, other_fleets};
 use crate::runtime_folder;
 use serde::Serialize;
@@ -29,8 +30,10 @@ pub struct LostFleet {
     /// Process id of the launcher.
     pub pid: Option<u32>,
     /// Folder of its sockets and locks.
+    #[serde(serialize_with = "lossy_path::serialize")]
     pub runtime: PathBuf,
     /// Folder of the run, as the launcher has made it.
+    #[serde(serialize_with = "lossy_path::serialize_optional")]
     pub folder: Option<PathBuf>,
     /// What is missing.
     pub missing: String,

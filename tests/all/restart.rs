@@ -1,6 +1,6 @@
 //! A killed process is restarted, and the other processes are not affected.
 
-use crate::harness::{Fleet, Folder, WATCHDOG, output, process, send};
+use crate::harness::{Fleet, Folder, WATCHDOG, mr_slam, output, output_of, process, send};
 use reports::FleetView;
 use rustix::process::Signal;
 
@@ -173,4 +173,38 @@ fn a_launcher_that_is_stopped_is_told_by_status() {
     send(pid, Signal::CONT);
     assert!(stopped.contains(&format!("kill -CONT {pid}")), "{stopped}");
     assert!(!alarms().contains("kill -CONT"));
+}
+
+#[test]
+fn a_second_request_to_end_kills_what_is_waited_for_and_the_report_is_written() {
+    let mut fleet = Fleet::start("up", &["--robots", "1"]);
+    let view = fleet.until("SLAM", |view| process(view, "slam of robot1").is_some());
+    let launcher = fleet.run.pid;
+    send(process(&view, "slam of robot1").unwrap().pid, Signal::STOP);
+    send(launcher, Signal::TERM);
+    // The launcher waits for the bridge first, then for SLAM, which never ends.
+    let bridge = format!("/proc/{}", process(&view, "bridge").unwrap().pid);
+    let begun = std::time::Instant::now();
+    while std::path::Path::new(&bridge).exists() {
+        assert!(begun.elapsed() < WATCHDOG, "the bridge does not end");
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    let ended = fleet.end(Signal::TERM);
+    assert!(!ended.success, "the last map of SLAM is not saved");
+    let report = std::fs::read_to_string(ended.folder.path().join("report.json")).unwrap();
+    assert!(report.contains("was killed, as a second request asked: its last map is not saved"), "{report}");
+}
+
+#[test]
+fn messages_of_processes_are_shown_and_kept_in_the_log() {
+    let folder = Folder::new();
+    // Merging says that it cannot go on with this.
+    folder.file("merge.json", "{");
+    let mut up = mr_slam();
+    up.args(["up", "--robots", "1", "--port", "0", "--page", "off", "--seconds", "3", "--run-dir"]);
+    let done = output_of(up.arg(folder.path()).env("XDG_STATE_HOME", folder.path().join("state")));
+    let shown = String::from_utf8_lossy(&done.stderr).into_owned();
+    let log = std::fs::read_to_string(folder.path().join("launcher.log")).unwrap();
+    assert!(done.status.success() && log.contains("merge.json"), "{log}");
+    assert!(log.lines().all(|line| shown.contains(line)), "{log}\n---\n{shown}");
 }

@@ -5,6 +5,7 @@ use crate::command::output;
 use crate::config::RobotSource;
 use crate::control::{self, AskError, Request};
 use crate::emergency_stop_file::latch_while;
+use crate::lossy_path;
 use crate::other_fleets::OtherFleet;
 use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport};
@@ -33,6 +34,7 @@ const ROBOTS_POLL: Duration = Duration::from_millis(100);
 #[derive(Debug, Serialize)]
 struct StoppedFleet {
     /// Folder of the run.
+    #[serde(serialize_with = "lossy_path::serialize")]
     run: PathBuf,
     /// Whether the bridge has confirmed the stop: every robot has been sent a zero.
     confirmed: bool,
@@ -311,6 +313,7 @@ fn ask_for_release(run: &Run) -> Result<Result<BridgeState, AskError>, String> {
 /// Result of `mr-slam release`.
 #[derive(Serialize)]
 struct Released<'a> {
+    #[serde(serialize_with = "lossy_path::serialize")]
     run: &'a Path,
     state: &'a str,
     /// Robots on other machines whose own machine's stop is still set.

@@ -2,6 +2,7 @@
 
 use super::pictures::{Pictures, write_html};
 use crate::config::FleetConfig;
+use crate::lossy_path;
 use crate::nasa_tlx;
 use crate::run::{Run, RunError};
 use reports::{DistributionView, Events, FleetView, RobotView, Series, Style, TlxEntry};
@@ -32,6 +33,7 @@ pub struct Report {
     #[serde(skip)]
     pub pictures: Pictures,
     /// Paths of the maps without extension (.pgm, .yaml, .png).
+    #[serde(serialize_with = "lossy_path::serialize_all")]
     pub maps: Vec<PathBuf>,
     /// What could not be written, with the reasons; empty if everything was.
     pub not_written: Vec<String>,
@@ -230,7 +232,8 @@ impl Report {
 
     /// Writes `report.json` and `report.html` into the run's folder.
     pub fn write(&self, dir: &Path) -> Result<(), RunError> {
-        let json = serde_json::to_string_pretty(self).unwrap_or_default();
+        let json = serde_json::to_string_pretty(self)
+            .map_err(|source| RunError::Json { path: dir.join("report.json"), source })?;
         for (name, text) in [("report.json", json), ("report.html", write_html(self))] {
             let path = dir.join(name);
             formats::atomic::write(&path, |file| file.write_all(text.as_bytes()))
@@ -313,6 +316,19 @@ mod tests {
         let mut stats: Box<FleetStats> = bytemuck::allocation::zeroed_box();
         stats.robot_count = 2;
         stats
+    }
+
+    #[test]
+    fn a_report_of_a_folder_whose_name_is_not_text_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path().join(crate::other_fleets::path(b"run\xff".to_vec()));
+        std::fs::create_dir(&dir).unwrap();
+        let report = Report::of_figures(&FleetConfig::default(), Duration::ZERO, None, None);
+        let report = Report { maps: vec![dir.join("merged_map")], ..report };
+        report.write(&dir).unwrap();
+        let json = std::fs::read_to_string(dir.join("report.json")).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+        assert!(json["maps"][0].as_str().unwrap().ends_with("run\u{fffd}/merged_map"), "{json}");
     }
 
     #[test]

@@ -45,14 +45,19 @@ impl Screen {
 
     /// Prints an event above the table.
     pub fn show_event(&mut self, event: &str) {
+        self.show_line(&format!("! {event}"));
+    }
+
+    /// Prints a line, such as a message of a process, above the table.
+    pub fn show_line(&mut self, line: &str) {
         match terminal::size(&stderr()) {
             Some(size) => {
                 let style = terminal::style(&stderr());
-                let text = self.erase(size) + &style.wrap(&format!("! {event}"), 2);
+                let text = self.erase(size) + &style.wrap(line, 2);
                 note_text(&text);
                 self.draw(size);
             }
-            None => note(&format!("! {event}")),
+            None => note(line),
         }
     }
 
