@@ -269,6 +269,7 @@ mod tests {
         let fleet = FleetView::new(&stats).with_ended_processes(|pid| pid != 102);
         let states: Vec<&str> = fleet.processes.iter().map(|process| process.state).collect();
         assert_eq!(states, ["up", "silent", "ended"]);
+        assert!(fleet.live_table(&Style::PLAIN).contains("! merge has ended"));
     }
 
     #[test]
@@ -295,7 +296,7 @@ mod tests {
         stats.robot_count = 1;
         let told = |stats: &FleetStats| FleetView::new(stats).alarms().len();
         assert_eq!(told(&stats), 0, "it starts");
-        stats.header.stamp = msg::Stamp::from_seconds(FIRST_SCAN_S);
+        stats.header.stamp = msg::Stamp::from_seconds(super::super::alarms::FIRST_SCAN_S);
         assert_eq!(told(&stats), 1);
         stats.robots[0].scans = 1;
         stats.robots[0].scan_hz = 10.0;
