@@ -76,8 +76,8 @@ pub enum FleetError {
     Sessions(#[from] SessionsError),
 }
 
-/// Smallest distance between two start poses, metres: where two bodies touch.
-const START_APART_MIN_M: f64 = 2.0 * sim::burger::ROBOT_RADIUS_M;
+/// Smallest distance between two start poses, metres: bodies do not touch, whatever their headings.
+const START_APART_MIN_M: f64 = 2.0 * sim::burger::RADIUS_M;
 
 /// Largest file that is read as a room, bytes.
 const ROOM_BYTES_MAX: u64 = 256 << 20;

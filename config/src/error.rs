@@ -60,9 +60,13 @@ pub enum ValueError {
         /// Number of robots.
         robots: usize,
     },
-    /// A start is not finite, or has a yaw in degrees.
+    /// The seed is larger than a file's integers.
+    #[error("fleet.seed is {0}; expected 0 to 9223372036854775807")]
+    Seed(u64),
+    /// A start is not finite, is in millimetres, or has a yaw in degrees.
     #[error(
-        "fleet.starts[{index}] is {start:?}; expected [x, y, yaw]: finite metres, and radians from -6.29 to 6.29 (90 degrees are 1.57)"
+        "fleet.starts[{index}] is {start:?}; expected [x, y, yaw]: metres from -{m} to {m}, and radians from -6.29 to 6.29 (90 degrees are 1.57)",
+        m = crate::START_MAX_M
     )]
     Start {
         /// Place in the list, from 0.
@@ -122,6 +126,9 @@ pub enum ValueError {
         /// Number of robots.
         robots: usize,
     },
+    /// A file cannot hold the configuration, from which the fleet's processes read it: a path is no UTF-8, for example.
+    #[error("the configuration cannot be written to a file: {0}; expected paths in UTF-8")]
+    NotWritable(String),
     /// A value of ROS 2's environment variables.
     #[error(transparent)]
     Discovery(#[from] bridge::dds::DiscoveryError),
@@ -143,6 +150,7 @@ impl ValueError {
     pub fn key(&self) -> String {
         match self {
             Self::Robots(_) => "fleet.robots".into(),
+            Self::Seed(_) => "fleet.seed".into(),
             Self::StartsCount { .. } => "fleet.starts".into(),
             Self::Start { index, .. } => format!("fleet.starts[{index}]"),
             Self::NamesCount { .. } | Self::Name(_) => "fleet.names".into(),
@@ -156,6 +164,7 @@ impl ValueError {
             Self::Merge(why) => format!("merge.{}", why.key),
             Self::Bridge(why) => format!("bridge.{}", why.key),
             Self::LimitsOfNoRobot { index, .. } => format!("bridge.velocity.robots[{index}].robot"),
+            Self::NotWritable(_) => "fleet".into(),
             Self::Discovery(_) => "bridge.dds".into(),
             Self::Realtime(why) => format!("realtime.{}", why.key()),
         }

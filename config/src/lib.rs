@@ -128,7 +128,7 @@ pub struct Fleet {
     /// Names of the robots in ROS, one for each robot, such as `["alice", "lab/bob"]`: topics `/alice/scan`, frames
     /// `odom_alice`. Empty: `robot1`, `robot2` and so on. `[""]`, for one robot: plain `/scan`, `odom`, `base_footprint`.
     pub names: Vec<String>,
-    /// Seed of all random numbers.
+    /// Seed of all random numbers, 0 to 9223372036854775807.
     pub seed: u64,
     /// Room of the simulators: `laboratory`; `office`, `warehouse`, `school`, `museum`, `flat` or `hall`, generated from a
     /// seed as in `office:7`; or the path of a scanned room (.json, .json.gz; also MRUK's), .glb, .gltf or .obj.
@@ -177,8 +177,12 @@ impl Fleet {
         if !self.starts.is_empty() && self.starts.len() != robots {
             return Err(ValueError::StartsCount { starts: self.starts.len(), robots });
         }
+        if self.seed > SEED_MAX {
+            return Err(ValueError::Seed(self.seed));
+        }
         for (index, start) in self.starts.iter().enumerate() {
-            if start.iter().any(|value| !value.is_finite()) || start[2].abs() > msg::pose::YAW_MAX_RAD {
+            let is_place = start[..2].iter().all(|m| m.abs() <= START_MAX_M);
+            if !is_place || !(start[2].abs() <= msg::pose::YAW_MAX_RAD) {
                 return Err(ValueError::Start { index, start: *start });
             }
         }
@@ -194,6 +198,12 @@ impl Fleet {
         }
     }
 }
+
+/// Largest seed: the largest integer of TOML.
+const SEED_MAX: u64 = i64::MAX as u64;
+
+/// Largest coordinate of a start, metres: no building is larger, and millimetres are.
+pub(crate) const START_MAX_M: f64 = 1000.0;
 
 /// Largest size of a fleet file, bytes: the default with its explanations has 30 kB.
 const FILE_BYTES_MAX: u64 = 1 << 20;
@@ -260,7 +270,18 @@ impl FleetConfig {
         self.check_robots_of_limits()?;
         self.recording.validate()?;
         self.link.validate()?;
-        Ok(self.realtime.validate()?)
+        self.realtime.validate()?;
+        self.check_text()
+    }
+
+    /// Refuses what a file does not give back: a fleet's processes read their configuration from the run's file.
+    fn check_text(&self) -> Result<(), ValueError> {
+        let text = toml::to_string_pretty(self).map_err(|why| ValueError::NotWritable(why.to_string()))?;
+        match toml::from_str::<Self>(&text) {
+            Ok(read) if read == *self => Ok(()),
+            Ok(_) => Err(ValueError::NotWritable("a value changes when it is written and read again".into())),
+            Err(why) => Err(ValueError::NotWritable(why.to_string())),
+        }
     }
 
     /// Refuses limits of a robot that the fleet does not have: the one that is meant would keep the fleet's.
@@ -327,9 +348,10 @@ impl FleetConfig {
         (!starts.is_empty()).then(|| starts.iter().map(|[x, y, yaw]| Pose2::new(*x, *y, *yaw)).collect())
     }
 
-    /// Formats the configuration as a file with every key.
+    /// Formats the configuration as a file with every key. A configuration that [`Self::check`] refuses may give a text that
+    /// is no TOML.
     pub fn to_toml(&self) -> String {
-        toml::to_string_pretty(self).unwrap_or_else(|why| format!("# cannot be written: {why}\n"))
+        toml::to_string_pretty(self).unwrap_or_else(|why| format!("cannot be written: {why}\n"))
     }
 }
 

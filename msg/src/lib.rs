@@ -69,7 +69,7 @@ pub use navigation::{
 pub use pose::Pose2;
 pub use rect::IndexRect;
 pub use refusal::AlignmentRefusal;
-pub use scan::{BEAMS_MAX, Scan, ScanDemand, ScanPurpose};
+pub use scan::{BEAMS_MAX, BEAMS_MIN, Scan, ScanDemand, ScanPurpose};
 pub use sender::{CommandSource, CommandSourceKind, OperatorAction, OperatorEvent};
 pub use service::{
     CLOSURES_MAX, ClosureInfo, InitialPoseKind, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,

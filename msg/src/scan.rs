@@ -3,6 +3,8 @@
 use crate::{Header, Pose2, ROBOTS_MAX, RobotId};
 use bytemuck::{Pod, Zeroable};
 
+/// Fewest beams of a scan.
+pub const BEAMS_MIN: usize = 2;
 /// Largest number of beams in a scan.
 pub const BEAMS_MAX: usize = 4096;
 
@@ -11,7 +13,7 @@ pub const BEAMS_MAX: usize = 4096;
 /// Beam `i` points along `angle_min_rad + i * angle_increment_rad`, counter-clockwise from the
 /// sensor's x axis. It was measured at `header.stamp + i * time_increment_s`.
 /// `base_scan` is upright: a scan of a LiDAR upside down is mirrored before it becomes this message.
-/// Ranges follow REP-117: +inf is no return up to `range_max_m`, NaN is no measurement.
+/// Ranges follow REP-117: +inf is no return up to `range_max_m`, -inf is a surface nearer than `range_min_m`, NaN is no measurement.
 ///
 /// ```
 /// let mut scan: msg::Scan = bytemuck::Zeroable::zeroed();

@@ -16,8 +16,8 @@ pub struct NavConfig {
 /// Size of a robot, taken as a disc around its axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotBody {
-    /// Radius of the circle that the robot turns within, metres, above 0. A Burger (138 mm by 178 mm, its axis off
-    /// the middle) turns within 0.105 m.
+    /// Radius of the disc that the robot is taken for, metres, above 0. A Burger's is 0.105 m, as in its own navigation. Its rear corners
+    /// are 0.124 m from the axis: the margin covers them.
     pub radius_m: f64,
     /// Space kept free around the body on planned paths, metres, from 0. 0.06 m covers the error of the pose.
     pub margin_m: f64,

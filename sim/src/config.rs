@@ -1,7 +1,7 @@
 //! Configuration of a simulated robot. Angles are in degrees; all other values are in SI units.
 
 use crate::burger;
-use msg::BEAMS_MAX;
+use msg::{BEAMS_MAX, BEAMS_MIN};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{self, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -50,11 +50,11 @@ fn check(field: &'static str, value: f64, valid: bool, expected: &'static str) -
 /// those of [`LidarConfig::PAPER`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LidarConfig {
-    /// Number of beams in a scan, 1 to [`BEAMS_MAX`].
+    /// Number of beams in a scan, [`BEAMS_MIN`] to [`BEAMS_MAX`].
     pub beams: usize,
     /// Direction of the first beam in `base_scan`, degrees, counter-clockwise from forward.
     pub angle_min_deg: f64,
-    /// Angle from the first beam to the last, degrees. With 360 the beams divide the circle evenly.
+    /// Angle from the first beam to the last, degrees, above 0, at most 360. With 360 the beams divide the circle evenly.
     pub fov_deg: f64,
     /// Smallest range that is measured, metres.
     pub range_min_m: f64,
@@ -99,10 +99,15 @@ impl LidarConfig {
     /// Checks all values and returns the first invalid one.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let beams = self.beams as f64;
-        check("lidar.beams", beams, (1..=BEAMS_MAX).contains(&self.beams), "1 to 4096")?;
+        check("lidar.beams", beams, (BEAMS_MIN..=BEAMS_MAX).contains(&self.beams), "2 to 4096")?;
         let angle = self.angle_min_deg;
         check("lidar.angle_min_deg", angle, (-360.0..=360.0).contains(&angle), "-360 to 360")?;
-        check("lidar.fov_deg", self.fov_deg, (0.0..=360.0).contains(&self.fov_deg), "0 to 360")?;
+        check(
+            "lidar.fov_deg",
+            self.fov_deg,
+            self.fov_deg > 0.0 && self.fov_deg <= 360.0,
+            "above 0, at most 360",
+        )?;
         let (near, far) = (self.range_min_m, self.range_max_m);
         check("lidar.range_min_m", near, (0.0..100.0).contains(&near), "0 to 100")?;
         check("lidar.range_max_m", far, far > near && far <= 100.0, "more than range_min_m, at most 100")?;

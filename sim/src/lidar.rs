@@ -132,8 +132,8 @@ pub(crate) struct RangeNoise {
 }
 
 impl RangeNoise {
-    /// Returns the measured range of a distance by REP-117: +inf is no return; NaN is no measurement, also
-    /// for a distance below the smallest range.
+    /// Returns the measured range of a distance by REP-117: +inf is no return, -inf is a surface nearer than the smallest range, and
+    /// NaN is no measurement.
     fn measure(&mut self, distance_m: Option<f32>, lidar: &LidarConfig) -> f32 {
         // A number is drawn for every beam, so that one beam's target does not change the others' noise.
         let error = self.range.gaussian();
@@ -142,7 +142,7 @@ impl RangeNoise {
         }
         let Some(distance_m) = distance_m.map(f64::from) else { return f32::INFINITY };
         if distance_m < lidar.range_min_m {
-            return f32::NAN;
+            return f32::NEG_INFINITY;
         }
         let std_m = self.config.range_std_m + self.config.range_std_ratio * distance_m;
         let range_m = distance_m + std_m * error;

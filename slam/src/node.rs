@@ -214,7 +214,7 @@ impl Rays {
     }
 
     /// Replaces the beams by those of a scan that are worth drawing: REP-117's +inf and ranges beyond the
-    /// maximum are misses; NaN and ranges below the minimum are dropped.
+    /// maximum are misses; NaN and ranges below the minimum, with -inf, are dropped.
     pub fn fill(&mut self, scan: &Scan, sweep: &BeamPoses, config: &SlamConfig) {
         let clear_m = config.map.clear_without_return_m.min(scan.range_max_m);
         let first_beam = sweep.base_from_sensor(0);

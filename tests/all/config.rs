@@ -2,7 +2,10 @@
 
 use crate::harness::{Folder, output};
 use mr_slam::config::FleetConfig;
+use std::ffi::OsStr;
+use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
+use std::process::Command;
 
 /// Starts a fleet from `text`, which must be refused on `line` with all `words`.
 fn refused(text: &str, line: usize, words: &[&str]) {
@@ -41,8 +44,34 @@ fn values_out_of_range_are_refused() {
     refused("[fleet]\nseed = 1\nrobots = 65\n", 3, &["65", "64"]);
     refused("[fleet]\nrobots = 0\n", 2, &["1 to 64"]);
     refused("[fleet]\nrobots = 2\nstarts = [[0.0, 0.0, 0.0]]\n", 3, &["1 poses for 2"]);
-    refused("[fleet]\nrobots = 1\nstarts = [[nan, 0.0, 0.0]]\n", 3, &["finite"]);
+    refused("[fleet]\nrobots = 1\nstarts = [[nan, 0.0, 0.0]]\n", 3, &["metres from -1000 to 1000"]);
+    refused(
+        "[fleet]\nrobots = 1\nstarts = [[15000.0, 0.0, 0.0]]\n",
+        3,
+        &["15000.0", "metres from -1000 to 1000"],
+    );
     refused("[fleet]\naddress = \"everywhere\"\n", 2, &["everywhere"]);
+}
+
+#[test]
+fn what_the_runs_file_cannot_hold_is_refused_before_a_fleet_is_started() {
+    let no_text = OsStr::from_bytes(b"/sessions/\xff");
+    for (option, value, said) in [
+        ("--seed", OsStr::new("18446744073709551615"), "expected 0 to 9223372036854775807"),
+        ("--sessions", no_text, "expected paths in UTF-8"),
+    ] {
+        for tool in ["up", "lockstep"] {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_mr-slam"));
+            let output = command
+                .args([tool, "--robots", "1", "--seconds", "1"])
+                .arg(option)
+                .arg(value)
+                .output()
+                .unwrap();
+            let stderr = String::from_utf8_lossy(&output.stderr);
+            assert!(!output.status.success() && stderr.contains(said), "{tool} {option}: {stderr}");
+        }
+    }
 }
 
 #[test]

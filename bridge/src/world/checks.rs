@@ -1,7 +1,7 @@
 //! Checks of the numbers in sensor data from outside: what is accepted is finite and within physical bounds.
 
 use msg::pose::{COORDINATE_MAX_M, yaw_of_quaternion};
-use msg::{BEAMS_MAX, Header, Pose2, RobotFrame, RobotFrameTransform, Scan};
+use msg::{BEAMS_MAX, BEAMS_MIN, Header, Pose2, RobotFrame, RobotFrameTransform, Scan};
 use ros_messages::read::Transform;
 use std::f64::consts::TAU;
 use thiserror::Error;
@@ -12,8 +12,6 @@ const UNIT_TOLERANCE: f64 = 1e-2;
 const TILT_MAX_RAD: f64 = 0.35;
 /// The longest time of one scan, seconds.
 const SCAN_TIME_MAX_S: f32 = 10.0;
-/// Fewer beams make no scan.
-const BEAMS_MIN: usize = 2;
 
 /// Why a scan is not accepted.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -112,7 +110,8 @@ pub fn empty_scan() -> Box<Scan> {
     })
 }
 
-/// Checks a scan's numbers. Ranges below the minimum become NaN, those above the maximum infinite (REP-117).
+/// Checks a scan's numbers. Ranges above the maximum become infinite; -inf is a surface that is too near (REP-117). Other ranges below the
+/// minimum become NaN: drivers use 0 for beams without a measurement.
 pub fn check_scan(scan: &mut Scan) -> Result<(), ScanError> {
     let Scan { angle_min_rad, angle_increment_rad, range_min_m, range_max_m, .. } = *scan;
     let beams = scan.len as usize;
@@ -136,7 +135,7 @@ pub fn check_scan(scan: &mut Scan) -> Result<(), ScanError> {
     for range in &mut scan.ranges_m[..beams] {
         if *range > range_max_m {
             *range = f32::INFINITY;
-        } else if *range < range_min_m {
+        } else if *range < range_min_m && *range != f32::NEG_INFINITY {
             *range = f32::NAN;
         }
     }

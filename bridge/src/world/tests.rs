@@ -61,7 +61,7 @@ fn scan_message(stamp: i64) -> LaserScan {
         scan_time: 0.1,
         range_min: 0.1,
         range_max: 3.5,
-        ranges: vec![1.0, 9.0, 0.05],
+        ranges: vec![1.0, 9.0, 0.05, f32::NEG_INFINITY],
         ..LaserScan::default()
     }
 }
@@ -76,7 +76,7 @@ fn receive_scan(world: &mut ExternalWorld, number: usize, message: &LaserScan) -
 fn a_scan_is_checked_and_its_ranges_are_limited() {
     let (mut world, messages) = world();
     assert_eq!(receive_scan(&mut world, 2, &scan_message(5)), Ok(()));
-    assert_eq!(*messages.borrow(), ["robot2 scan 5 [1.0, inf, NaN]"]);
+    assert_eq!(*messages.borrow(), ["robot2 scan 5 [1.0, inf, NaN, -inf]"]);
     let mut refused = |change: &dyn Fn(&mut LaserScan)| {
         let mut message = scan_message(6);
         change(&mut message);

@@ -4,7 +4,7 @@ use super::epochs::Timed;
 use super::frames::is_odometry;
 use super::{BagScan, frame};
 use crate::RecordedMessage;
-use msg::{Pose2, Scan};
+use msg::{BEAMS_MIN, Pose2, Scan};
 use ros_messages::cdr::{DecodeError, Reader};
 use ros_messages::read::Transform;
 use ros_messages::spatial_pose::{self, SpatialPose};
@@ -21,8 +21,6 @@ pub const FRAMES_MAX: usize = 4096;
 const TF_TOPICS_MAX: usize = 256;
 /// Most poses of odometry and transforms.
 const POSES_MAX: usize = 50_000_000;
-/// Fewest beams of a scan.
-const BEAMS_MIN: usize = 2;
 /// First bytes of a message that is compressed by itself; CDR begins with a zero.
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 /// Change of a mount in space that is an adjustment of the same one, metres and radians.

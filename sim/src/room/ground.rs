@@ -134,8 +134,8 @@ pub(crate) fn slab(corners: &[Vec3; 3], low_m: f32, high_m: f32) -> Vec<[f64; 2]
     within.iter().map(|v| [v.x.into(), v.y.into()]).collect()
 }
 
-/// Keeps the side where `inside` is not negative.
-fn clip(polygon: &[Vec3], inside: impl Fn(Vec3) -> f32) -> Vec<Vec3> {
+/// Keeps the part of a polygon where `inside` is not negative.
+pub(crate) fn clip(polygon: &[Vec3], inside: impl Fn(Vec3) -> f32) -> Vec<Vec3> {
     let mut kept = Vec::with_capacity(polygon.len() + 1);
     for (a, b) in polygon.iter().zip(polygon.iter().cycle().skip(1)) {
         let (da, db) = (inside(*a), inside(*b));

@@ -60,6 +60,9 @@ pub enum RoomError {
         /// Name of the file as given.
         name: String,
     },
+    /// The content begins as JSON, and is none.
+    #[error("not readable as JSON, neither as glTF nor as a scene: {0}; expected the whole file")]
+    Json(#[source] serde_json::Error),
     /// The content is no usable glTF.
     #[error("not a readable glTF room: {0}")]
     Gltf(#[from] GltfError),

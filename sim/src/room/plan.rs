@@ -1,6 +1,6 @@
 //! Floor plans of rooms, and start poses of robots.
 
-use super::ground::Ground;
+use super::ground::{Ground, clip};
 use super::mesh::Mesh;
 use super::raster::Raster;
 use super::{Room, StartError};
@@ -243,15 +243,29 @@ impl Room {
     }
 }
 
-/// Removes the triangles that belong to the floor or have no area.
+/// Returns what stands on the floor: the parts of the triangles above `relief_m` metres, as [`Ground`] takes them for obstacles. Triangles
+/// without area are left out.
 pub(crate) fn obstacles_of(mesh: &Mesh, relief_m: f32) -> Mesh {
-    let stands_up = |triangle: &&[u32; 3]| {
-        let [a, b, c] = mesh.corners(**triangle);
-        let has_area = (b - a).cross(c - a).length_squared() > 0.0;
-        has_area && a.z.max(b.z).max(c.z) > relief_m
-    };
-    let triangles = mesh.triangles.iter().filter(stands_up).copied().collect();
-    Mesh { vertices: mesh.vertices.clone(), triangles, ..Mesh::default() }
+    let mut standing = Mesh { vertices: mesh.vertices.clone(), ..Mesh::default() };
+    for triangle in &mesh.triangles {
+        let corners = mesh.corners(*triangle);
+        let [a, b, c] = corners;
+        if (b - a).cross(c - a).length_squared() == 0.0 {
+            continue;
+        }
+        if corners.iter().all(|corner| corner.z > relief_m) {
+            standing.triangles.push(*triangle);
+            continue;
+        }
+        let above = clip(&corners, |corner| corner.z - relief_m);
+        // A convex polygon of at most four corners, as a fan of triangles.
+        let first = standing.vertices.len() as u32;
+        for corner in 1..(above.len() as u32).saturating_sub(1) {
+            standing.triangles.push([first, first + corner, first + corner + 1]);
+        }
+        standing.vertices.extend(above);
+    }
+    standing
 }
 
 #[cfg(test)]

@@ -26,27 +26,31 @@ impl Room {
         if bytes.len() > BYTES_MAX {
             return Err(RoomError::TooManyBytes { max: BYTES_MAX });
         }
+        let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&bytes);
         let first = bytes.iter().find(|byte| !byte.is_ascii_whitespace());
         if first == Some(&b'{') {
-            check_json_objects(&bytes)?;
+            check_json_objects(bytes)?;
         }
         let (mesh, stated_floor_m) = if bytes.starts_with(b"glTF") {
-            (gltf::read(&bytes)?, None)
+            (gltf::read(bytes)?, None)
         } else if first == Some(&b'{') {
             // Every glTF document has an `asset`, every scene of MRUK has `Rooms`, every other scene `spatialEntities`.
-            match json_kind(&bytes) {
-                JsonKind::Gltf => (gltf::read(&bytes)?, None),
-                JsonKind::Mruk => mruk::read(&bytes)?,
-                JsonKind::Scene => scene::read(&bytes)?,
+            match json_kind(bytes)? {
+                JsonKind::Gltf => (gltf::read(bytes)?, None),
+                JsonKind::Mruk => mruk::read(bytes)?,
+                JsonKind::Scene => scene::read(bytes)?,
             }
         } else if has_ending(name, ".obj") {
-            (obj::read(&bytes)?, None)
+            (obj::read(bytes)?, None)
         } else {
             return Err(RoomError::UnknownFormat { name: name.to_owned() });
         };
         Room::from_mesh(name, mesh, stated_floor_m)
     }
 }
+
+/// First bytes of a UTF-8 text as some programs write it.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
 fn has_ending(name: &str, ending: &str) -> bool {
     let name = name.to_ascii_lowercase();
@@ -60,7 +64,7 @@ enum JsonKind {
     Scene,
 }
 
-fn json_kind(bytes: &[u8]) -> JsonKind {
+fn json_kind(bytes: &[u8]) -> Result<JsonKind, RoomError> {
     #[derive(serde::Deserialize)]
     struct Fields {
         asset: Option<serde::de::IgnoredAny>,
@@ -68,9 +72,11 @@ fn json_kind(bytes: &[u8]) -> JsonKind {
         rooms: Option<serde::de::IgnoredAny>,
     }
     match serde_json::from_slice::<Fields>(bytes) {
-        Ok(Fields { asset: Some(_), .. }) => JsonKind::Gltf,
-        Ok(Fields { rooms: Some(_), .. }) => JsonKind::Mruk,
-        _ => JsonKind::Scene,
+        Ok(Fields { asset: Some(_), .. }) => Ok(JsonKind::Gltf),
+        Ok(Fields { rooms: Some(_), .. }) => Ok(JsonKind::Mruk),
+        // What is wrong in a scene, its reader says.
+        Err(why) if why.is_syntax() || why.is_eof() => Err(RoomError::Json(why)),
+        Ok(_) | Err(_) => Ok(JsonKind::Scene),
     }
 }
 

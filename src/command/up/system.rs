@@ -14,7 +14,7 @@ pub fn add_system(page: &mut Page, config: &FleetConfig) {
     let build = if cfg!(debug_assertions) { "development build" } else { "release build" };
     let (lidar, real_time) = (&config.sim.lidar, config.realtime.priority);
     let simulated = format!(
-        "{} beams over {:.0} degrees, {:.1} to {:.1} m, {:.0} Hz",
+        "{} beams over {:.0} degrees, {} to {} m, {:.0} Hz",
         lidar.beams, lidar.fov_deg, lidar.range_min_m, lidar.range_max_m, lidar.rate_hz
     );
     rows.extend([

@@ -67,16 +67,18 @@ impl<P: Ports> Zones<P> {
             starts.iter().all(|start| !piece.is_near([start.x_m, start.y_m], START_MARGIN_M))
         };
         let clear: Vec<&Furniture> = room.furniture().iter().filter(is_clear).collect();
+        let mut made = 0;
         for piece in clear.iter().take(FURNITURE_MAX) {
             let Ok(zone) = ExclusionZone::new(&piece.outline_m) else { continue };
+            made += 1;
             self.last_number += 1;
             self.zones.push(ExclusionZone { number: self.last_number, ..zone.with_source(&piece.label) });
         }
-        let left_out = room.furniture().len() - clear.len().min(FURNITURE_MAX);
+        let left_out = room.furniture().len() - made;
         if left_out > 0 {
             tracing::warn!(
-                "{left_out} of {} pieces of furniture make no exclusion zone: at most {FURNITURE_MAX} do, and none \
-                 where a robot starts",
+                "{left_out} of {} pieces of furniture make no exclusion zone: at most {FURNITURE_MAX} do, none \
+                 where a robot starts, and none whose outline has no area",
                 room.furniture().len()
             );
         }
