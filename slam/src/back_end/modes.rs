@@ -201,8 +201,10 @@ impl BackEnd {
         }
     }
 
-    /// Adds the first node after the robot was located, with an edge from the nearest node of the map.
+    /// Adds the first node after the robot was located, with an edge from the nearest node of the map. What odometry measured to it began at a
+    /// node that the graph does not have.
     pub(super) fn add_node_at_initial_pose(&mut self, node: Node, estimate: LocalFrameEstimate) {
+        let node = Node { previous_from_this: None, ..node };
         let map_from_node = estimate.map_from_local * node.local_from_base;
         let nearest = nearest_node(MapNodes::of_map(&self.nodes, self.graph.poses()), map_from_node);
         let id = node.id;
