@@ -76,7 +76,7 @@ fn going_on_gives_the_bits_of_never_having_stopped() {
         let mut first = Slam::new(config.clone());
         feed(&mut first, &before);
         let drawn = first.map().to_owned();
-        let bytes = first.session(identity()).encode();
+        let bytes = first.session(identity()).encode().unwrap();
         let session = Session::decode(&bytes, &identity()).unwrap();
         assert!(drawn.cells.contains(&msg::grid::SWEPT_FREE));
         let mut second =
@@ -94,8 +94,8 @@ fn going_on_gives_the_bits_of_never_having_stopped() {
 #[test]
 fn what_is_not_a_session_is_refused_with_the_reason() {
     let (session, _) = mapped(&FULL);
-    let bytes = session.encode();
-    assert_eq!(Session::decode(&bytes, &identity()).unwrap().encode(), bytes);
+    let bytes = session.encode().unwrap();
+    assert_eq!(Session::decode(&bytes, &identity()).unwrap().encode().unwrap(), bytes);
     let refused = |bytes: &[u8]| Session::decode(bytes, &identity()).unwrap_err();
     for cut in [0, 1, 7, 8, 23, 24, 25, bytes.len() / 2, bytes.len() - 1] {
         let said = refused(&bytes[..cut]).to_string();
