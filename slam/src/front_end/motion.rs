@@ -16,7 +16,7 @@ pub(super) const CONSTANT_MOTION_MAX_S: f64 = 0.5;
 /// The same limit as a multiple of the interval over which that motion was measured.
 const CONSTANT_MOTION_TIMES_MAX: f64 = 3.0;
 /// Odometry that claims more than this many times what the robot can have driven was reset.
-const ODOMETRY_JUMP_FACTOR: f64 = 3.0;
+pub(super) const ODOMETRY_JUMP_FACTOR: f64 = 3.0;
 /// Added to what the robot can have driven: odometry's own jitter, metres.
 const ODOMETRY_JUMP_MARGIN_M: f64 = 1.0;
 /// A step of odometry between two scans may be no motion if it exceeds the step before it this many times, and this, metres and radians.
