@@ -162,6 +162,9 @@ impl BackEnd {
         self.unverified_node =
             self.unverified_node.and_then(|id| numbers.at_or_after(id)).filter(|id| *id > 0);
         self.odometry_noise.renumber(|id| numbers.at_or_after(id).unwrap_or(numbers.kept));
+        if let Some(unconfirmed) = &mut self.location.unconfirmed {
+            unconfirmed.first_node = numbers.at_or_after(unconfirmed.first_node).unwrap_or(numbers.kept);
+        }
         let nodes = &self.nodes;
         self.location.component_searches.renumber(|component| {
             // A component is named by its first node.
