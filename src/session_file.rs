@@ -43,7 +43,9 @@ impl SessionFileError {
 
 /// Writes a session, durably: after a crash or on a full disk, the file is the old one or the new one.
 pub fn write(path: &Path, session: &Session) -> Result<(), SessionFileError> {
-    atomic::write_durably(path, |file| file.write_all(&session.encode()))
+    let invalid = |why| SessionFileError::Content { file: path.to_owned(), why };
+    let bytes = session.encode().map_err(invalid)?;
+    atomic::write_durably(path, |file| file.write_all(&bytes))
         .map_err(|source| SessionFileError::Io { file: path.to_owned(), source })
 }
 

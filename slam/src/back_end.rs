@@ -165,6 +165,7 @@ impl BackEnd {
         let node = node.into_owned();
         self.node_ids.newest_front = node.id;
         self.process_node(node);
+        self.confirm_estimate();
         self.update_reliability();
         self.stages.stage_started(Stage::Idle);
         self.frame_update()

@@ -274,7 +274,7 @@ pub struct GraphConfig {
     /// Standard deviations by which the solved graph contradicts a closure that is then removed;
     /// above 0. 10 instead of 6 gave the same error.
     pub retract_sigmas: f64,
-    /// Nodes after its cause at which a frame update takes effect in the front end; 1 or more. Enough
+    /// Nodes after its cause at which a frame update takes effect in the front end; 1 to 64. Enough
     /// that a back end that keeps up has answered, so that runs repeat.
     pub frame_update_lag_nodes: u32,
 }

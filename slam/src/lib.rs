@@ -25,6 +25,7 @@ mod encoding;
 mod front_end;
 mod graph;
 mod likelihood_field;
+mod limits;
 mod localizer;
 mod mapper;
 mod node;

@@ -4,6 +4,7 @@ use crate::beam_poses::BeamPoses;
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
 use crate::encoding::plain;
+use crate::limits::REACH_M_MAX;
 use msg::{Header, Pose2, Scan};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -216,7 +217,7 @@ impl Rays {
     /// Replaces the beams by those of a scan that are worth drawing: REP-117's +inf and ranges beyond the
     /// maximum are misses; NaN and ranges below the minimum, with -inf, are dropped.
     pub fn fill(&mut self, scan: &Scan, sweep: &BeamPoses, config: &SlamConfig) {
-        let clear_m = config.map.clear_without_return_m.min(scan.range_max_m);
+        let clear_m = config.map.clear_without_return_m.min(scan.range_max_m).min(REACH_M_MAX);
         let first_beam = sweep.base_from_sensor(0);
         self.sensor = sweep.mid_sweep_position();
         self.hits.clear();

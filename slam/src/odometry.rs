@@ -2,6 +2,7 @@
 
 use crate::clock_reset::ClockResetDetector;
 use crate::config::OdometryConfig;
+use crate::limits::ODOMETRY_M_MAX;
 use msg::{Header, Odometry, Pose2, Stamp, pose::wrap_angle};
 use std::collections::VecDeque;
 
@@ -62,14 +63,20 @@ impl OdometryBuffer {
         }
     }
 
-    /// Adds a message. Rejects and counts one that is not finite or not newer than the last, unless the clock was set
+    /// Adds a message. Rejects and counts one whose pose is no place on Earth or not newer than the last, unless the clock was set
     /// back. Returns whether it was added.
     pub fn push(&mut self, odometry: &Odometry) -> bool {
         let (last, stamp) = (self.poses.back().copied(), odometry.header.stamp);
         let back = last.is_some_and(|last| stamp < last.header.stamp);
         let repeated = last.is_some_and(|last| stamp == last.header.stamp);
+        let restarted = last.filter(|last| last.header.incarnation != odometry.header.incarnation);
+        // The restarted driver has a new origin; the robot is assumed to have stood meanwhile.
+        let continuous_from_odom = restarted.map_or(self.continuous_from_odom, |last| {
+            last.continuous_from_base * odometry.odom_from_base.inverse()
+        });
+        let continuous_from_base = continuous_from_odom * odometry.odom_from_base;
         if repeated
-            || !odometry.odom_from_base.is_finite()
+            || ![odometry.odom_from_base, continuous_from_base].into_iter().all(is_plausible)
             || (back && self.clock_reset.observe(stamp).is_none())
         {
             self.rejected += 1;
@@ -82,17 +89,13 @@ impl OdometryBuffer {
         if self.poses.len() == self.config.buffer_len {
             self.poses.pop_front();
         }
-        if let Some(last) = last.filter(|last| last.header.incarnation != odometry.header.incarnation) {
-            // The restarted driver has a new origin; the robot is assumed to have stood meanwhile.
-            self.continuous_from_odom = last.continuous_from_base * odometry.odom_from_base.inverse();
-            if self.is_restored {
-                // But after the session was saved and before the driver ended, the robot may have moved.
-                self.poses.clear();
-                self.unknown_motion = true;
-            }
+        if restarted.is_some() && self.is_restored {
+            // But after the session was saved and before the driver ended, the robot may have moved.
+            self.poses.clear();
+            self.unknown_motion = true;
         }
+        self.continuous_from_odom = continuous_from_odom;
         self.is_restored = false;
-        let continuous_from_base = self.continuous_from_odom * odometry.odom_from_base;
         self.poses.push_back(BufferedOdometry::new(odometry, continuous_from_base));
         true
     }
@@ -196,6 +199,11 @@ pub struct MeasuredMotion {
     pub unmeasured_s: f64,
 }
 
+/// Whether a pose by odometry can be one: its numbers are finite, and its position is within [`ODOMETRY_M_MAX`].
+fn is_plausible(pose: Pose2) -> bool {
+    pose.is_finite() && pose.x_m.abs().max(pose.y_m.abs()) <= ODOMETRY_M_MAX
+}
+
 /// Pose between two messages, linear in position and heading.
 fn interpolate(a: &BufferedOdometry, b: &BufferedOdometry, stamp: Stamp) -> Pose2 {
     let share = (stamp - a.header.stamp) / (b.header.stamp - a.header.stamp);
@@ -212,9 +220,10 @@ fn extrapolate(last: &BufferedOdometry, ahead_s: f64, max_s: f64) -> Option<Pose
     if ahead_s > max_s {
         return None;
     }
-    let moving = last.linear_m_s.is_finite() && last.angular_rad_s.is_finite();
+    let driven_m = last.linear_m_s * ahead_s;
+    let moving = driven_m.abs() <= ODOMETRY_M_MAX && last.angular_rad_s.is_finite();
     let turn = if moving { last.angular_rad_s * ahead_s } else { 0.0 };
-    let distance_m = if moving { last.linear_m_s * ahead_s } else { 0.0 };
+    let distance_m = if moving { driven_m } else { 0.0 };
     let step = Pose2::new(distance_m * (turn / 2.0).cos(), distance_m * (turn / 2.0).sin(), turn);
     Some(last.continuous_from_base * step)
 }

@@ -137,6 +137,8 @@ pub struct Relocalizer {
     last_search: Option<f64>,
     /// Searches tried since the search began.
     tries: u32,
+    /// Whether scans contradicted every place that the newest search found.
+    is_contradicted: bool,
     /// Earlier results: the pose of the front end's frame in the map, and `travelled` at that search.
     pending: VecDeque<(Pose2, f64)>,
     counts: RelocalizationCounts,
@@ -152,7 +154,7 @@ pub enum RelocalizationOutcome {
         /// Pose of the front end's frame in the map.
         map_from_local: Pose2,
     },
-    /// No search near the initial estimate succeeded; the estimate is accepted unverified.
+    /// No search near the initial estimate found anything to compare with; the estimate is accepted unverified.
     EstimateAccepted(LocalFrameEstimate),
 }
 
@@ -172,6 +174,7 @@ impl Relocalizer {
             travelled: 0.0,
             last_search: None,
             tries: 0,
+            is_contradicted: false,
             pending: VecDeque::with_capacity(PENDING_MAX),
             counts,
             config,
@@ -240,7 +243,10 @@ impl Relocalizer {
             }
         }
         match self.initial_estimate {
-            Some(estimate) if self.added >= self.config.relocalize.estimate_nodes_max => {
+            // What the scans contradict is not where the robot is.
+            Some(estimate)
+                if self.added >= self.config.relocalize.estimate_nodes_max && !self.is_contradicted =>
+            {
                 RelocalizationOutcome::EstimateAccepted(estimate)
             }
             _ => RelocalizationOutcome::NotFound,
@@ -265,6 +271,7 @@ impl Relocalizer {
             half_rad: ESTIMATE_SIGMAS * estimate.sigma_rad,
         });
         let (found, given_up) = self.whole_map.search(&points, bounds, &self.config.relocalize);
+        self.is_contradicted = false;
         if found.is_empty() {
             self.counts.below_min_response += 1;
             return None;
@@ -278,7 +285,10 @@ impl Relocalizer {
             }
         }
         match remaining[..] {
-            [] => self.counts.contradicted += 1,
+            [] => {
+                self.is_contradicted = true;
+                self.counts.contradicted += 1;
+            }
             [map_from_newest] if !given_up => {
                 self.counts.found += 1;
                 return Some(map_from_newest * newest.local_from_base.inverse());

@@ -196,15 +196,22 @@ impl BackEnd {
 }
 
 impl Session {
-    /// Encodes the session.
-    pub fn encode(&self) -> Vec<u8> {
+    /// Encodes the session. What could not be read back is not written: it would replace a session that can.
+    ///
+    /// # Errors
+    /// [`SessionError`] if a value is not valid, or there are too many bytes.
+    pub fn encode(&self) -> Result<Vec<u8>, SessionError> {
+        self.validate()?;
         let mut bytes = encode_after(vec![0; HEAD], self);
+        if bytes.len() > BYTES_MAX {
+            return Err(SessionError::TooLarge { found: bytes.len() as u64 });
+        }
         let (checksum, length) = (crc32fast::hash(&bytes[HEAD..]), (bytes.len() - HEAD) as u64);
         bytes[..8].copy_from_slice(&MAGIC);
         bytes[8..12].copy_from_slice(&VERSION.to_le_bytes());
         bytes[12..16].copy_from_slice(&checksum.to_le_bytes());
         bytes[16..24].copy_from_slice(&length.to_le_bytes());
-        bytes
+        Ok(bytes)
     }
 
     /// Decodes the session of this robot.

@@ -23,6 +23,11 @@ enum Known {
 
 /// Mean error of position (m) and heading (rad), and cells the walls take up in the map.
 fn spin(known: Known) -> (f64, f64, usize) {
+    spin_with(known, TURN_S)
+}
+
+/// The same with a scan each `interval_s`.
+fn spin_with(known: Known, interval_s: f64) -> (f64, f64, usize) {
     let lidar = Lidar { range_max_m: 8.0, ..FULL };
     let (walls, mut noise) = (laboratory(), Noise::new(9));
     let mut robot = Robot::new(Pose2::new(-0.6, -0.5, 0.3));
@@ -32,9 +37,9 @@ fn spin(known: Known) -> (f64, f64, usize) {
         slam.add_odometry(&robot.odometry());
     }
     let (mut away_m, mut turned_rad) = (Vec::new(), Vec::new());
-    for i in 0..200 {
+    for i in 0..(40.0 / interval_s) as u32 {
         // Stands, then spins one way, then the other, speeding up gently.
-        let rate = 1.2 * (f64::from(i) * 0.05).sin();
+        let rate = 1.2 * (f64::from(i) * 0.25 * interval_s).sin();
         let twist = (0.1, rate);
         let mut scan = cast_driving(&walls, &lidar, &robot, twist, TURN_S, &mut noise);
         if known == Known::Odometry {
@@ -42,7 +47,7 @@ fn spin(known: Known) -> (f64, f64, usize) {
         }
         let truth = start.between(robot.world_from_base);
         for _ in 0..4 {
-            robot.drive(twist.0, twist.1, TURN_S / 4.0, &mut noise);
+            robot.drive(twist.0, twist.1, interval_s / 4.0, &mut noise);
             if known != Known::Times {
                 slam.add_odometry(&robot.odometry());
             }
@@ -79,4 +84,13 @@ fn the_last_motion_does_instead_of_odometry() {
     println!("deskewed {away} m {turned} rad; not {turned_skewed} rad");
     assert!(away < 0.04 && turned < 0.02, "{away} m, {turned} rad");
     assert!(turned_skewed > 2.0 * turned, "without: {turned_skewed} rad, with: {turned} rad");
+}
+
+#[test]
+fn the_last_motion_does_for_sweeps_that_overlap() {
+    for sweeps in [3.0, 7.0] {
+        let (away, turned, _) = spin_with(Known::Times, TURN_S / sweeps);
+        println!("{sweeps} intervals a sweep: {away} m {turned} rad");
+        assert!(away < 0.04 && turned < 0.02, "{sweeps} intervals a sweep: {away} m, {turned} rad");
+    }
 }

@@ -19,14 +19,15 @@ fn log(robot: &mut Robot, seconds: usize, seed: u64) -> Log {
     (0..10 * seconds).map(|_| one()).collect()
 }
 
-/// The largest error of the poses said at once; none may be of a lost robot.
+/// The largest error of the poses said at once; none may be of a lost robot, nor in a map that is called unreliable.
 fn error_m(slam: &mut Slam, log: &Log, world_from_map: Pose2) -> f64 {
     let mut worst = 0.0_f64;
     for (odometry, scan, truth) in log {
         slam.add_odometry(odometry);
         let pose_estimate = slam.process(scan).pose_estimate;
         slam.work();
-        assert_ne!(pose_estimate.state(), TrackingState::Lost);
+        let state = pose_estimate.state();
+        assert!(!matches!(state, TrackingState::Lost | TrackingState::MapUnreliable), "{state:?}");
         worst = worst.max((world_from_map * pose_estimate.map_from_base).distance_m(*truth));
     }
     worst
@@ -62,6 +63,43 @@ fn a_robot_keeps_its_place_when_the_mode_changes() {
 
     slam.back_mut().start_relocalization(None);
     assert!(!has_front(&mut slam), "nor while it is looked for");
+}
+
+#[test]
+fn an_estimate_that_nothing_can_be_compared_with_stays_unconfirmed() {
+    for mode in [SlamMode::Mapping, SlamMode::Lifelong, SlamMode::Localization] {
+        let mut robot = Robot::new(Pose2::new(0.0, -0.75, 0.0));
+        let first = log(&mut robot, 32, 1);
+        let mut slam = Slam::new(SlamConfig::default());
+        error_m(&mut slam, &first, first[0].2);
+        slam.back_mut().set_mode(mode);
+        // Far outside of the map.
+        let map_from_local = Pose2::new(40.0, 0.0, 1.0);
+        let estimate = LocalFrameEstimate { map_from_local, sigma_m: 0.3, sigma_rad: 0.2 };
+        slam.back_mut().start_relocalization(Some(estimate));
+        let mut accepted = 0;
+        for (scan_number, (odometry, scan, _)) in log(&mut robot, 40, 2).into_iter().enumerate() {
+            slam.add_odometry(&odometry);
+            let pose_estimate = slam.process(&scan).pose_estimate;
+            slam.work();
+            if scan_number < 40 {
+                // The front end is told with its second node from here.
+                continue;
+            }
+            accepted += usize::from(slam.back().grows_map());
+            if mode == SlamMode::Localization && pose_estimate.state() == TrackingState::Lost {
+                // Nothing of the map was seen over some metres.
+                break;
+            }
+            assert_eq!(pose_estimate.state(), TrackingState::Unconfirmed, "{mode:?}");
+            assert!(pose_estimate.position_sigma_m() > 0.29, "{mode:?}: {pose_estimate:?}");
+        }
+        assert!(
+            mode == SlamMode::Localization || accepted > 50,
+            "{mode:?}: {:?}",
+            slam.back_counts().relocalization
+        );
+    }
 }
 
 #[test]

@@ -69,7 +69,7 @@ fn a_corridor_without_odometry_is_in_the_map_only_where_its_place_is_known() {
     // A session keeps them: who loads it is told.
     let back = slam.back();
     let identity = SessionIdentity::new(1, 0, back.config());
-    let bytes = back.session(identity, None, &[]).encode();
+    let bytes = back.session(identity, None, &[]).encode().unwrap();
     let session = Session::decode(&bytes, &identity).unwrap();
     let (_, loaded) =
         slam::create_or_resume(back.config().clone(), Some(session), SlamMode::Mapping, InitialPose::Unknown);

@@ -55,7 +55,7 @@ fn a_session_and_its_log_give_the_bits_of_the_process_that_wrote_them() {
         let mut saved = None;
         if has_session {
             let session = Session { log: newest, ..back.session(identity(), Some(front.state()), &[]) };
-            saved = Some(Session::decode(&session.encode(), &identity()).unwrap());
+            saved = Some(Session::decode(&session.encode().unwrap(), &identity()).unwrap());
         }
         bytes.extend(feed_logged((&mut front, &mut back), logged, &mut newest, 2));
         let contents = LogContents::decode(&bytes);

@@ -60,6 +60,22 @@ impl ComponentSearches {
         self.searches.clear();
     }
 
+    /// Gives the components the numbers that their first nodes have now; those that are no more are not searched.
+    pub(super) fn renumber(&mut self, number: impl Fn(u32) -> Option<u32>) {
+        let searched_for = self.searched_for.map(&number);
+        if searched_for == Some(None) {
+            return self.clear();
+        }
+        self.searched_for = searched_for.flatten();
+        self.searches.retain_mut(|search| match search.component.map(&number) {
+            Some(None) => false,
+            component => {
+                search.component = component.flatten();
+                true
+            }
+        });
+    }
+
     /// Adds the newest node. Returns the component in which it is found, and its pose there; `None` if it is found in none, or
     /// in several.
     fn add_node(

@@ -126,20 +126,14 @@ impl BackEnd {
         for &id in &gone {
             marginalise(&mut edges, self.graph.poses(), id);
         }
-        let mut numbers: Vec<Option<u32>> = Vec::with_capacity(self.nodes.len());
-        let mut next = 0;
-        for id in 0..self.nodes.len() as u32 {
-            let stays = gone.binary_search(&id).is_err();
-            numbers.push(stays.then_some(next));
-            next += u32::from(stays);
-        }
-        let number = |id: u32| numbers[id as usize];
-        let keep = |id: usize| numbers[id].is_some();
+        let numbers = NodeNumbers::without(&gone, self.nodes.len());
+        let keep = |id: usize| numbers.of(id as u32).is_some();
+        self.renumber_searches(&numbers);
         let kept_poses = self.graph.poses().iter().enumerate().filter(|(id, _)| keep(*id)).map(|(_, p)| *p);
         let kept_edges = edges.into_iter().filter_map(|e| {
             // Retracted links are dropped; retracted closures stay listed.
             let is_kept = e.is_active || e.kind == EdgeKind::Closure;
-            is_kept.then_some(Edge { a: number(e.a)?, b: number(e.b)?, ..e })
+            is_kept.then_some(Edge { a: numbers.of(e.a)?, b: numbers.of(e.b)?, ..e })
         });
         self.graph.replace_parts(kept_poses.collect(), kept_edges.collect());
         self.forget_odometry_after(&gone);
@@ -154,12 +148,29 @@ impl BackEnd {
         let mut id = 0;
         self.lifelong.contradicted.retain(|_| (keep(id), id += 1).0);
         self.reliability.retain_nodes(keep);
-        self.loop_closures.renumber(&number);
+        self.loop_closures.renumber(&|id| numbers.of(id));
         self.lifelong.removed_nodes += gone.len() as u64;
         self.update_after_edge_change();
         self.node_ids.earlier.clear();
         // The map is another one now: drawn anew, all at once, so that nobody sees half of it.
         self.mapper.restore(&self.nodes, self.graph.poses());
+    }
+
+    /// Gives the nodes that searches and checks under way speak of their new numbers; before the nodes are removed.
+    fn renumber_searches(&mut self, numbers: &NodeNumbers) {
+        // Before the first node there is no edge.
+        self.unverified_node =
+            self.unverified_node.and_then(|id| numbers.at_or_after(id)).filter(|id| *id > 0);
+        self.odometry_noise.renumber(|id| numbers.at_or_after(id).unwrap_or(numbers.kept));
+        if let Some(unconfirmed) = &mut self.location.unconfirmed {
+            unconfirmed.first_node = numbers.at_or_after(unconfirmed.first_node).unwrap_or(numbers.kept);
+        }
+        let nodes = &self.nodes;
+        self.location.component_searches.renumber(|component| {
+            // A component is named by its first node.
+            let of_component = nodes.iter().filter(|node| node.disconnected_component == Some(component));
+            of_component.filter_map(|node| numbers.of(node.id)).next()
+        });
     }
 
     /// Forgets odometry's motion to each node whose predecessor goes: it is one from that predecessor, and says nothing of the node that
@@ -170,6 +181,37 @@ impl BackEnd {
                 node.previous_from_this = None;
             }
         }
+    }
+}
+
+/// The numbers that nodes have after some were removed.
+struct NodeNumbers {
+    /// New number of each node; `None` if it was removed.
+    new: Vec<Option<u32>>,
+    /// Nodes that are left.
+    kept: u32,
+}
+
+impl NodeNumbers {
+    /// The numbers after the nodes `gone`, which are sorted, were removed from `nodes` nodes.
+    fn without(gone: &[u32], nodes: usize) -> Self {
+        let mut kept = 0;
+        let number = |id: u32| {
+            let stays = gone.binary_search(&id).is_err();
+            stays.then(|| (kept, kept += 1).0)
+        };
+        let new = (0..nodes as u32).map(number).collect();
+        Self { new, kept }
+    }
+
+    /// The new number of a node; `None` if it was removed.
+    fn of(&self, id: u32) -> Option<u32> {
+        self.new.get(id as usize).copied().flatten()
+    }
+
+    /// The new number of a node, or of the first one after it that is left: a removed node hands the edge before it on to that one.
+    fn at_or_after(&self, id: u32) -> Option<u32> {
+        self.new.get(id as usize..)?.iter().copied().flatten().next()
     }
 }
 
@@ -224,17 +266,58 @@ fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
     use crate::back_end::testing::straight_path;
-    use msg::Pose2;
+    use crate::common::{FULL, Noise, cast};
+    use crate::node::Node;
+    use crate::session::SessionIdentity;
+    use crate::testing::standing_node;
+    use msg::Stamp;
+
+    /// A back end with eight nodes, of which a session can be made.
+    fn eight_nodes() -> BackEnd {
+        let mut back = straight_path(8, 0.3);
+        back.lifelong.contradicted = vec![0; 8];
+        back.node_ids.front_ids = (0..8).collect();
+        for [a, b] in (1..8).map(|b| [b - 1, b]) {
+            let (moved, information) = (Pose2::new(0.3, 0.0, 0.0), Matrix3::identity());
+            back.graph.add_edge([a, b], moved, information, EdgeKind::Odometry, [0.0; 2]);
+        }
+        back
+    }
+
+    #[test]
+    fn a_node_whose_edge_is_unverified_keeps_it_when_others_are_removed() {
+        // The node before which nothing is verified, the nodes removed, and its number among those that are left.
+        let cases: [(u32, &[u32], Option<u32>); 5] = [
+            (7, &[2, 3, 6], Some(4)),
+            (3, &[5, 6], Some(3)),
+            (4, &[1, 4], Some(3)),
+            (7, &[7], None),
+            (6, &[0, 1, 2, 3, 4, 5], None),
+        ];
+        for (unverified, removed, after) in cases {
+            let mut back = eight_nodes();
+            back.unverified_node = Some(unverified);
+            back.lifelong.marked = removed.to_vec();
+            back.remove_marked();
+            assert_eq!(back.unverified_node, after, "{unverified} without {removed:?}");
+            let identity = SessionIdentity::new(1, 7, &back.config);
+            assert_eq!(back.session(identity, None, &[]).validate(), Ok(()));
+            // The next node is tracked, and sees too little to be linked.
+            let at = Pose2::new(2.4, 0.0, 0.0);
+            let scan = cast(&[], &FULL, at, Stamp(9), &mut Noise::new(1));
+            back.add_node(Node { is_tracked: true, ..standing_node(8, &scan, at, &back.config.lidar) });
+            assert_eq!(back.unverified_node, after, "{unverified} without {removed:?}");
+        }
+    }
 
     #[test]
     fn odometry_says_nothing_of_two_nodes_between_which_one_was_removed() {
-        let mut back = straight_path(8, 0.3);
+        let mut back = eight_nodes();
         back.nodes.iter_mut().skip(1).for_each(|node| {
             node.previous_from_this = Some(Pose2::new(0.3, 0.0, 0.0));
         });
-        back.lifelong.contradicted = vec![0; 8];
-        back.node_ids.front_ids = (0..8).collect();
         back.lifelong.marked = vec![2, 3, 6];
         back.remove_marked();
         let measured: Vec<bool> = back.nodes.iter().map(|node| node.previous_from_this.is_some()).collect();

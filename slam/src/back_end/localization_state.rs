@@ -5,6 +5,17 @@ use crate::localizer::Localizer;
 use crate::relocalize::{LocalFrameEstimate, RelocalizationCounts, Relocalizer};
 use msg::SlamMode;
 
+/// An estimate by a person that was accepted because no scan spoke against it.
+#[derive(Clone, Copy)]
+pub(super) struct UnconfirmedEstimate {
+    /// The estimate as it was given.
+    pub estimate: LocalFrameEstimate,
+    /// First node that was placed by it, if the map grows: a link with a node before confirms it.
+    pub first_node: u32,
+    /// Nodes that had matched a fixed map before it: one more confirms it.
+    pub matched_before: u64,
+}
+
 /// Location of the robot in its map.
 pub(super) struct LocalizationState {
     /// Mode of SLAM: mapping, localization or lifelong mapping.
@@ -19,6 +30,8 @@ pub(super) struct LocalizationState {
     pub relocalization: RelocalizationCounts,
     /// Estimate of the next node's pose, if it does not follow from the node before.
     pub next_node_estimate: Option<LocalFrameEstimate>,
+    /// What a person said about where the robot is, while no scan has confirmed it.
+    pub unconfirmed: Option<UnconfirmedEstimate>,
     /// The newest node is the one that located the robot.
     pub just_located: bool,
 }
@@ -32,6 +45,7 @@ impl LocalizationState {
             component_searches: ComponentSearches::default(),
             relocalization: RelocalizationCounts::default(),
             next_node_estimate: None,
+            unconfirmed: None,
             just_located: false,
         }
     }

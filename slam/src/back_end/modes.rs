@@ -1,11 +1,12 @@
 //! Modes of the back end: a node relocalizes the robot, localizes it in a fixed map, or extends the map.
 
 use super::component_search::nearest_node;
+use super::localization_state::UnconfirmedEstimate;
 use super::{BackEnd, BackEndState};
 use crate::closure::ClosureDetector;
 use crate::config::SlamConfig;
 use crate::front_end::{FrontEndState, TrajectorySample};
-use crate::graph::{EdgeKind, Graph, upper_triangle};
+use crate::graph::{Edge, EdgeKind, Graph, upper_triangle};
 use crate::localizer::Localizer;
 use crate::node::{FrameUncertainty, MapFrameUpdate, Node};
 use crate::relocalize::{
@@ -115,10 +116,15 @@ impl BackEnd {
             }
         };
         if let (Some(map_from_local), None) = (newest, &self.location.relocalizer) {
+            let found = LocalFrameEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD };
+            let unconfirmed = self.location.unconfirmed;
             self.location.next_node_estimate =
-                Some(LocalFrameEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD });
+                Some(unconfirmed.map_or(found, |it| LocalFrameEstimate { map_from_local, ..it.estimate }));
         }
         self.location.localizer = is_fixed.then(|| Localizer::new(self.config.clone()));
+        if let Some(UnconfirmedEstimate { estimate, .. }) = self.location.unconfirmed {
+            self.location.unconfirmed = Some(self.unconfirmed(estimate));
+        }
         if is_fixed && self.location.relocalizer.is_none() && !self.newest_is_placed() {
             self.start_relocalization(None);
         }
@@ -127,6 +133,7 @@ impl BackEnd {
     /// Searches for the robot from now on, near an estimate or everywhere. An empty map begins at the
     /// estimate instead.
     pub fn start_relocalization(&mut self, estimate: Option<LocalFrameEstimate>) {
+        self.location.unconfirmed = None;
         if self.nodes.is_empty() {
             self.location.next_node_estimate = estimate;
             return;
@@ -165,21 +172,45 @@ impl BackEnd {
             RelocalizationOutcome::Found { map_from_local } => {
                 LocalFrameEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD }
             }
-            RelocalizationOutcome::EstimateAccepted(LocalFrameEstimate {
-                map_from_local,
-                sigma_m,
-                sigma_rad,
-            }) => LocalFrameEstimate { map_from_local, sigma_m, sigma_rad },
+            RelocalizationOutcome::EstimateAccepted(estimate) => estimate,
         };
         self.location.just_located = true;
         self.location.relocalization = relocalizer.counts();
         let waiting = relocalizer.take_waiting();
         self.location.relocalizer = None;
         self.location.next_node_estimate = Some(estimate);
+        let is_accepted = matches!(relocalization, RelocalizationOutcome::EstimateAccepted(_));
+        self.location.unconfirmed = is_accepted.then(|| self.unconfirmed(estimate));
         if let Some(localizer) = &mut self.location.localizer {
             localizer.clear();
         }
         waiting.into_iter().for_each(|node| self.integrate_node(node));
+    }
+
+    /// An estimate that nothing confirms yet: what is known so far is from before it.
+    fn unconfirmed(&self, estimate: LocalFrameEstimate) -> UnconfirmedEstimate {
+        let matched_before =
+            self.location.localizer.as_ref().map_or(0, |localizer| localizer.counts().matched);
+        UnconfirmedEstimate { estimate, first_node: self.nodes.len() as u32, matched_before }
+    }
+
+    /// Confirms a person's estimate if a scan matched the fixed map, or if a link connects a node since with one before.
+    pub(super) fn confirm_estimate(&mut self) {
+        let Some(UnconfirmedEstimate { first_node, matched_before, .. }) = self.location.unconfirmed else {
+            return;
+        };
+        let connects = |e: &Edge| {
+            let is_scan = matches!(e.kind, EdgeKind::ScanMatch | EdgeKind::Closure);
+            e.is_active && is_scan && e.a.min(e.b) < first_node && e.a.max(e.b) >= first_node
+        };
+        let is_confirmed = match &self.location.localizer {
+            Some(localizer) => localizer.counts().matched > matched_before,
+            None => self.graph.edges().iter().any(connects),
+        };
+        if is_confirmed {
+            self.location.unconfirmed = None;
+            self.location.just_located = true;
+        }
     }
 
     fn integrate_node(&mut self, node: Node) {
@@ -201,8 +232,10 @@ impl BackEnd {
         }
     }
 
-    /// Adds the first node after the robot was located, with an edge from the nearest node of the map.
+    /// Adds the first node after the robot was located, with an edge from the nearest node of the map. What odometry measured to it began at a
+    /// node that the graph does not have.
     pub(super) fn add_node_at_initial_pose(&mut self, node: Node, estimate: LocalFrameEstimate) {
+        let node = Node { previous_from_this: None, ..node };
         let map_from_node = estimate.map_from_local * node.local_from_base;
         let nearest = nearest_node(MapNodes::of_map(&self.nodes, self.graph.poses()), map_from_node);
         let id = node.id;
@@ -234,6 +267,7 @@ impl BackEnd {
         let soon = self.location.relocalizer.is_some()
             || self.location.localizer.is_some()
             || self.location.just_located
+            || self.location.unconfirmed.is_some()
             || !self.newest_is_placed();
         let lag_nodes = if soon { 1 } else { self.config.graph.frame_update_lag_nodes };
         MapFrameUpdate {
@@ -243,16 +277,21 @@ impl BackEnd {
             uncertainty: self.frame_uncertainty(),
             closures: self.loop_closures.active_count,
             located: map_from_local.is_some() && self.is_located(),
-            unconfirmed: initial_estimate.is_some(),
+            unconfirmed: initial_estimate.is_some() || self.location.unconfirmed.is_some(),
             unreliable: self.reliability_evidence().is_unreliable(),
         }
     }
 
     /// Covariance of the newest node's pose in the map, or what a person said about it. In a fixed map it is the map's own frame that
-    /// counts: none is added.
+    /// counts: none is added but what a person said while no scan has confirmed it.
     fn frame_uncertainty(&self) -> FrameUncertainty {
         if let Some(relocalizer) = &self.location.relocalizer {
             return relocalizer.initial_uncertainty().unwrap_or_default();
+        }
+        let in_fixed_map = self.location.localizer.as_ref().and_then(Localizer::newest);
+        if let (Some((map_from_node, map_from_local)), Some(it)) = (in_fixed_map, self.location.unconfirmed) {
+            let estimate = LocalFrameEstimate { map_from_local, ..it.estimate };
+            return estimate.uncertainty(map_from_local.inverse() * map_from_node);
         }
         let newest = self.nodes.last().filter(|_| self.grows_map());
         newest.map_or(FrameUncertainty::default(), |node| {
@@ -319,5 +358,28 @@ impl BackEnd {
     /// Counts of relocalization searches by how they ended.
     pub fn relocalization(&self) -> RelocalizationCounts {
         self.location.relocalization_counts()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::back_end::testing::straight_path;
+    use nalgebra::Matrix3;
+
+    #[test]
+    fn a_link_with_what_was_there_before_confirms_an_estimate() {
+        let mut back = straight_path(8, 0.3);
+        let estimate = LocalFrameEstimate { map_from_local: Pose2::IDENTITY, sigma_m: 0.3, sigma_rad: 0.2 };
+        back.location.unconfirmed = Some(UnconfirmedEstimate { estimate, first_node: 5, matched_before: 0 });
+        let mut is_unconfirmed_after = |nodes: [u32; 2], kind| {
+            back.graph.add_edge(nodes, Pose2::IDENTITY, Matrix3::identity(), kind, [0.0; 2]);
+            back.confirm_estimate();
+            back.frame_update().unconfirmed
+        };
+        assert!(is_unconfirmed_after([2, 5], EdgeKind::InitialPose), "the estimate itself");
+        assert!(is_unconfirmed_after([3, 4], EdgeKind::ScanMatch), "before it");
+        assert!(is_unconfirmed_after([5, 7], EdgeKind::ScanMatch), "since");
+        assert!(!is_unconfirmed_after([4, 6], EdgeKind::Closure));
     }
 }

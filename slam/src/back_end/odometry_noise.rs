@@ -148,6 +148,11 @@ impl OdometryNoise {
         self.of_edges.scales()
     }
 
+    /// Takes over new numbers of the nodes that were learned from.
+    pub fn renumber(&mut self, number: impl Fn(u32) -> u32) {
+        self.learned_until = self.learned_until.map(number);
+    }
+
     /// Compares a motion by odometry with the same one by the scans, if they determine it and it was not learned from before.
     fn observe(&mut self, odometry: &OdometryMotion, link: &Edge) {
         let information = link.information + Matrix3::identity() * REGULARISATION;

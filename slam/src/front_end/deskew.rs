@@ -2,11 +2,14 @@
 //!
 //! The motion comes from odometry or, without it, is estimated together with the pose.
 
-use super::motion::{CONSTANT_MOTION_MAX_S, OdometryStep, PosePrediction, continue_motion};
+use super::motion::{
+    CONSTANT_MOTION_MAX_S, ODOMETRY_JUMP_FACTOR, OdometryStep, PosePrediction, continue_motion,
+};
 use super::scan_matcher::{CLEARLY_SHARE, has_jumped};
 use super::{FrontEnd, TrackedPose};
 use crate::beam_poses::{BeamPoses, scale_motion};
 use crate::cloud::Cloud;
+use crate::config::OdometryConfig;
 use crate::stages::Stage;
 use msg::{Pose2, Scan, Stamp, TrackingState, pose::wrap_angle};
 use std::sync::Arc;
@@ -14,9 +17,23 @@ use std::sync::Arc;
 /// Alignments of one scan whose motion is estimated with its pose: one or two leave errors that swing from scan
 /// to scan, three end that.
 const PASSES: usize = 3;
-/// Share of a motion's correction that each pass applies. Half a revolution's motion looks like a change of the pose,
-/// so a pass that assumes too much motion finds half of that too little: 2/3 cancels the swing.
-const CORRECTION_SHARE: f64 = 2.0 / 3.0;
+/// Largest share of a motion's correction that a pass applies.
+const CORRECTION_SHARE_MAX: f64 = 2.0 / 3.0;
+
+/// Share of a motion's correction that each pass applies, for a sweep of `scan_s`. Half a sweep's motion looks like a change of the pose, so that a
+/// pass that assumes too much motion in an interval finds half of that too little in a sweep as long: 2/3 cancels the swing. In a longer
+/// sweep more is found too little, and a smaller share cancels it.
+fn correction_share(scan_s: f64, interval_s: f64) -> f64 {
+    (1.0 / (1.0 + 0.5 * scan_s / interval_s)).min(CORRECTION_SHARE_MAX)
+}
+
+/// The motion over a time, no more than [`ODOMETRY_JUMP_FACTOR`] times as fast as the robot can be.
+fn limit_speed(motion: Pose2, seconds: f64, config: &OdometryConfig) -> Pose2 {
+    let [most_m, most_rad] =
+        [config.speed_max_m_s, config.turn_max_rad_s].map(|speed| ODOMETRY_JUMP_FACTOR * speed * seconds);
+    let share = (most_m / motion.x_m.hypot(motion.y_m)).min(1.0);
+    Pose2::new(motion.x_m * share, motion.y_m * share, motion.yaw_rad.clamp(-most_rad, most_rad))
+}
 
 impl FrontEnd {
     /// The scan's sensor poses, its surfaces without the robot's motion, and the pose that matches them.
@@ -88,6 +105,7 @@ impl FrontEnd {
         let before = self.motion.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
         let known = self.motion.last.and_then(|last| last.motion);
         let mut motion = known.map_or(Pose2::IDENTITY, |(motion, s)| continue_motion(motion, s, interval_s));
+        let share = correction_share(scan_s, interval_s);
         let mut pass = 1;
         loop {
             let so_far = |after_s: f64| Some(scale_motion(motion, after_s / interval_s));
@@ -101,11 +119,12 @@ impl FrontEnd {
                 return (beam_poses, cloud, pose);
             }
             let seen = before.between(pose.local_from_base);
-            motion = Pose2::new(
-                motion.x_m + CORRECTION_SHARE * (seen.x_m - motion.x_m),
-                motion.y_m + CORRECTION_SHARE * (seen.y_m - motion.y_m),
-                motion.yaw_rad + CORRECTION_SHARE * wrap_angle(seen.yaw_rad - motion.yaw_rad),
+            let corrected = Pose2::new(
+                motion.x_m + share * (seen.x_m - motion.x_m),
+                motion.y_m + share * (seen.y_m - motion.y_m),
+                motion.yaw_rad + share * wrap_angle(seen.yaw_rad - motion.yaw_rad),
             );
+            motion = limit_speed(corrected, interval_s, &self.config.odometry);
             pass += 1;
         }
     }

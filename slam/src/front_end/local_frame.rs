@@ -8,7 +8,7 @@ use nalgebra::Matrix3;
 use std::collections::VecDeque;
 
 /// Frame updates that may wait for their node; beyond them the oldest is dropped, which a newer one replaces anyway.
-const FRAME_UPDATES_MAX: usize = 64;
+pub(crate) const FRAME_UPDATES_MAX: usize = 64;
 
 /// Pose of the front end's frame in the map, and the frame updates that will change it.
 pub(super) struct LocalFrameInMap {
@@ -113,5 +113,32 @@ impl LocalFrameInMap {
 
     pub fn restore_frame_updates(&mut self, frame_updates: Vec<MapFrameUpdate>) {
         self.frame_updates.extend(frame_updates.into_iter().take(FRAME_UPDATES_MAX));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_update_takes_effect_with_its_node_however_long_it_has_to_wait() {
+        for lag_nodes in [1, 4, FRAME_UPDATES_MAX as u32] {
+            let mut frame = LocalFrameInMap::new();
+            for node in 0..300 {
+                frame.apply_frame_updates(node);
+                let expected = f64::from(node.saturating_sub(lag_nodes));
+                assert_eq!(frame.map_from_local.x_m, expected, "node {node}, {lag_nodes} nodes later");
+                frame.add_frame_update(MapFrameUpdate {
+                    cause_node: node,
+                    effective_from_node: node + lag_nodes,
+                    map_from_local: Pose2::new(f64::from(node), 0.0, 0.0),
+                    uncertainty: FrameUncertainty::default(),
+                    closures: 0,
+                    located: true,
+                    unconfirmed: false,
+                    unreliable: false,
+                });
+            }
+        }
     }
 }

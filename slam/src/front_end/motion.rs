@@ -5,9 +5,10 @@ use super::scan_matcher::TrackedPose;
 use super::{FrontEnd, LastScan};
 use crate::beam_poses::{BeamPoses, scale_motion};
 use crate::config::OdometryConfig;
+use crate::limits::{INTERVAL_S_MAX, SIGMA_MAX, UNMEASURED_S_MAX};
 use crate::node::Node;
 use crate::odometry::{MeasuredMotion, OdometryBuffer};
-use msg::{Pose2, Scan, Stamp, TrackingState};
+use msg::{Pose2, Scan, Stamp, TrackingState, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 
 /// Longest time over which the last motion predicts a scan's pose, seconds.
@@ -15,7 +16,7 @@ pub(super) const CONSTANT_MOTION_MAX_S: f64 = 0.5;
 /// The same limit as a multiple of the interval over which that motion was measured.
 const CONSTANT_MOTION_TIMES_MAX: f64 = 3.0;
 /// Odometry that claims more than this many times what the robot can have driven was reset.
-const ODOMETRY_JUMP_FACTOR: f64 = 3.0;
+pub(super) const ODOMETRY_JUMP_FACTOR: f64 = 3.0;
 /// Added to what the robot can have driven: odometry's own jitter, metres.
 const ODOMETRY_JUMP_MARGIN_M: f64 = 1.0;
 /// A step of odometry between two scans may be no motion if it exceeds the step before it this many times, and this, metres and radians.
@@ -61,13 +62,15 @@ impl PosePrediction {
         let (distance_m, turn_rad) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
         Self {
             pose: start * moved,
-            sigma_m: config.sigma_m
+            sigma_m: (config.sigma_m
                 + config.sigma_m_per_m * distance_m
-                + SPEED_SIGMA_SHARE * config.speed_max_m_s * unmeasured_s,
-            sigma_rad: config.sigma_rad
+                + SPEED_SIGMA_SHARE * config.speed_max_m_s * unmeasured_s)
+                .min(SIGMA_MAX),
+            sigma_rad: (config.sigma_rad
                 + config.sigma_rad_per_rad * turn_rad
                 + config.sigma_rad_per_m * distance_m
-                + SPEED_SIGMA_SHARE * config.turn_max_rad_s * unmeasured_s,
+                + SPEED_SIGMA_SHARE * config.turn_max_rad_s * unmeasured_s)
+                .min(SIGMA_MAX),
             start_covariance,
             distance_m,
             allows_dead_reckoning: false,
@@ -96,7 +99,7 @@ impl PosePrediction {
 
     /// Covariance of the predicted pose: an error in heading moves the end of the path sideways.
     pub fn covariance(&self) -> Matrix3<f64> {
-        let sideways = self.start_covariance[(2, 2)] * self.distance_m.powi(2);
+        let sideways = (self.start_covariance[(2, 2)] * self.distance_m.powi(2)).min(SIGMA_MAX.powi(2));
         self.start_covariance
             + Matrix3::from_diagonal(&(self.variances() + Vector3::new(sideways, sideways, 0.0)))
     }
@@ -124,7 +127,7 @@ impl FrontEnd {
         {
             let off = pose.local_from_base.between(newest.local_from_base * moved);
             let slip = &mut self.node_builder.slip;
-            *slip = [slip[0] + off.x_m, slip[1] + off.y_m, slip[2] + off.yaw_rad];
+            *slip = [slip[0] + off.x_m, slip[1] + off.y_m, wrap_angle(slip[2] + off.yaw_rad)];
         }
         if pose.slipped || is_back {
             self.motion.rebase_odometry(newest, pose.local_from_base, odom);
@@ -147,7 +150,8 @@ impl FrontEnd {
         let leaves_open =
             pose.state == TrackingState::Lost || pose.worst_position_sigma_m > UNMEASURED_SIGMA_M;
         if let (true, Some(last)) = (leaves_open, self.motion.last.as_ref()) {
-            self.node_builder.unmeasured_s += (stamp - last.stamp) as f32;
+            let unmeasured_s = self.node_builder.unmeasured_s + (stamp - last.stamp) as f32;
+            self.node_builder.unmeasured_s = unmeasured_s.min(UNMEASURED_S_MAX);
         }
     }
 }
@@ -263,8 +267,9 @@ impl MotionModel {
             .map_or(Pose2::IDENTITY, |(motion, before_s)| continue_motion(motion, before_s, interval_s));
         PosePrediction {
             pose: last.local_from_base * step,
-            sigma_m: SPEED_SIGMA_SHARE * config.speed_max_m_s * interval_s + config.sigma_m,
-            sigma_rad: SPEED_SIGMA_SHARE * config.turn_max_rad_s * interval_s + config.sigma_rad,
+            sigma_m: (SPEED_SIGMA_SHARE * config.speed_max_m_s * interval_s + config.sigma_m).min(SIGMA_MAX),
+            sigma_rad: (SPEED_SIGMA_SHARE * config.turn_max_rad_s * interval_s + config.sigma_rad)
+                .min(SIGMA_MAX),
             start_covariance: last.covariance,
             distance_m: step.x_m.hypot(step.y_m),
             allows_dead_reckoning: false,
@@ -301,9 +306,11 @@ impl MotionModel {
             Some(before.between(self.odometry.at(then)?))
         };
         // Odometry that jumps during the sweep tells nothing of it.
-        let step = |moved| OdometryStep::new(moved, seconds, Pose2::IDENTITY, config);
-        moved(seconds).filter(|moved| step(*moved) != OdometryStep::Jump)?;
-        BeamPoses::new(base_from_scan, scan, seconds, moved)
+        let is_jump =
+            |moved| OdometryStep::new(moved, seconds, Pose2::IDENTITY, config) == OdometryStep::Jump;
+        BeamPoses::new(base_from_scan, scan, seconds, |after_s| {
+            moved(after_s).filter(|moved| !is_jump(*moved))
+        })
     }
 
     /// After wheels have slipped, odometry counts from the matched pose, so that the slip no longer pulls.
@@ -326,7 +333,7 @@ impl MotionModel {
         continuous_from_base: Option<Pose2>,
     ) {
         let since = |l: LastScan| (l.local_from_base.between(local_from_base), stamp - l.stamp);
-        let motion = self.last.map(since).filter(|(_, seconds)| *seconds > 0.0);
+        let motion = self.last.map(since).filter(|(_, seconds)| *seconds > 0.0 && *seconds < INTERVAL_S_MAX);
         self.last = Some(LastScan { stamp, local_from_base, continuous_from_base, motion, covariance });
     }
 

@@ -3,6 +3,7 @@
 use super::pose_estimate::unknown_pose_covariance;
 use super::{FrontEnd, ScanResult, TrackedPose};
 use crate::clock_reset::ClockResetDetector;
+use crate::limits::REACH_M_MAX;
 use msg::{Pose2, Scan, Stamp, TrackingState};
 
 /// Why a scan was not used.
@@ -18,8 +19,8 @@ pub enum ScanRejection {
     /// It has no beam, or more than [`msg::BEAMS_MAX`].
     #[error("the scan has no beams or too many")]
     BeamCount,
-    /// Its angles or range limits are not usable numbers.
-    #[error("the scan's angles or range limits are not usable numbers")]
+    /// Its angles, its range limits or the pose of its LiDAR on the robot are not usable numbers.
+    #[error("the scan's angles, range limits or pose on the robot are not usable numbers")]
     Geometry,
 }
 
@@ -34,6 +35,11 @@ pub(super) fn lidar_works(scan: &Scan) -> bool {
     let beams = &scan.ranges_m[..(scan.len as usize).min(scan.ranges_m.len())];
     let working = beams.iter().filter(|range| **range > 0.0 && **range >= scan.range_min_m).count();
     2 * working >= beams.len()
+}
+
+/// Whether a LiDAR can be there on a robot.
+fn is_on_robot(base_from_scan: Pose2) -> bool {
+    base_from_scan.is_finite() && base_from_scan.x_m.hypot(base_from_scan.y_m) <= f64::from(REACH_M_MAX)
 }
 
 impl FrontEnd {
@@ -52,6 +58,7 @@ impl FrontEnd {
             && scan.angle_increment_rad.is_finite()
             && scan.angle_increment_rad.abs() <= ANGLE_INCREMENT_MAX_RAD
             && scan.angle_min_rad.abs() <= ANGLE_MIN_MAX_RAD
+            && scan.mount().is_none_or(is_on_robot)
             && scan.range_min_m >= 0.0
             && scan.range_max_m > scan.range_min_m;
         if len == 0 || len > msg::BEAMS_MAX {

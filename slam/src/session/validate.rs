@@ -8,6 +8,7 @@ use crate::back_end::{BackEndState, ReliabilityMonitor};
 use crate::closure::ClosureCandidate;
 use crate::front_end::FrontEndState;
 use crate::graph::{Edge, EdgeKind, PoseVariances};
+use crate::limits::{INTERVAL_S_MAX, POINT_M_MAX, POSITION_M_MAX, SIGMA_MAX, UNMEASURED_S_MAX};
 use crate::node::{Node, Rays, SweptPath};
 use crate::odometry_agreement::OdometryAgreement;
 use crate::reliability::{NodeComparison, ReliabilityEvidence, WallAgreement};
@@ -18,8 +19,9 @@ use nalgebra::Matrix3;
 
 /// Most nodes of a session: more than any configuration allows (`graph.nodes_max`).
 const NODES_MAX: usize = 1_000_000;
-/// Most edges per node, on average.
-const EDGES_PER_NODE_MAX: usize = 64;
+/// Most edges per node, on average: each has up to 64 links with nodes before (`links.sequential`), as many with others near by
+/// (`links.near`), and those of nodes around closures.
+const EDGES_PER_NODE_MAX: usize = 1024;
 /// Most entries of a queue: nodes to search for, candidates, frame updates, rejected closures.
 const WAITING_MAX: usize = 4096;
 /// Most newest nodes that a front end refers to.
@@ -30,32 +32,22 @@ const ODOMETRY_MAX: usize = 65_536;
 const SAMPLES_MAX: usize = 10_000_000;
 /// Most nodes of one record; a front end makes a few in the time of one.
 const RECORD_NODES_MAX: usize = 4096;
-/// Largest coordinate, metres: no building and no plausible odometry is larger.
-const POSITION_M_MAX: f64 = 1e9;
 /// Largest heading, radians: a turn is 6.28, and headings are kept within half of one.
 const YAW_RAD_MAX: f64 = 7.0;
-/// Longest beam, metres.
-const BEAM_M_MAX: f32 = 1e4;
 /// Largest component of a unit vector, with rounding.
 const UNIT_MAX: f32 = 1.01;
 /// Largest element of an information matrix or covariance; a larger one is an error.
 const INFORMATION_MAX: f64 = 1e12;
 /// Largest variance of an edge, m² and rad².
 const VARIANCE_MAX: f64 = 1e9;
-/// Largest standard deviation of an estimate, metres and radians.
-const SIGMA_MAX: f64 = 1e3;
 /// Longest path of a robot, metres.
 const TRAVELLED_M_MAX: f64 = 1e12;
 /// Most points of scans that are compared with those of one: no scan has as many, however many others there are.
 const COMPARED_POINTS_MAX: u32 = 10_000_000;
-/// Longest time in which nothing measured the motion, seconds: 30 years.
-const UNMEASURED_S_MAX: f32 = 1e9;
 /// Largest difference of a map from odometry, standard deviations: any coordinate over any of them.
 const RESIDUAL_SIGMAS_MAX: f64 = 1e12;
 /// Largest ratio between map and odometry: any coordinate over the shortest motion that counts.
 const ODOMETRY_RATIO_MAX: f64 = 1e12;
-/// Longest interval between two scans, seconds.
-const INTERVAL_S_MAX: f64 = 1e9;
 /// Largest counter: half of what it can hold, so that it can go on counting.
 const COUNT_MAX: u64 = u64::MAX / 2;
 /// Largest number of a node or of consecutive scans, for the same reason.
@@ -149,13 +141,13 @@ fn check_node(node: &Node) -> Result {
     check_count(hits.len().max(misses.len()), BEAMS_MAX, "beams in a node")?;
     let (points, cloud_sensor, centroid_m, _) = node.cloud.parts();
     for point in points {
-        check_points(&[point.at], BEAM_M_MAX, "point of a node")?;
+        check_points(&[point.at], POINT_M_MAX, "point of a node")?;
         check_points(&[point.normal], UNIT_MAX, "surface's direction")?;
     }
-    check_points(hits, BEAM_M_MAX, "beam of a node")?;
-    check_points(misses, BEAM_M_MAX, "beam of a node")?;
-    check_points(&[cloud_sensor, centroid_m, *sensor], BEAM_M_MAX, "sensor of a node")?;
-    check_swept_path(&node.swept_path, BEAM_M_MAX)?;
+    check_points(hits, POINT_M_MAX, "beam of a node")?;
+    check_points(misses, POINT_M_MAX, "beam of a node")?;
+    check_points(&[cloud_sensor, centroid_m, *sensor], POINT_M_MAX, "sensor of a node")?;
+    check_swept_path(&node.swept_path, POINT_M_MAX)?;
     check((0.0..=UNMEASURED_S_MAX).contains(&node.unmeasured_s), "time without a measured motion")?;
     let [slip_x_m, slip_y_m, slip_rad] = node.slip;
     check_pose(Pose2::new(slip_x_m, slip_y_m, slip_rad), "node's slip")?;

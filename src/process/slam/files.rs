@@ -6,7 +6,7 @@
 use super::BackEndInput;
 use super::refused::FileJobError;
 use crate::ports::Clock;
-use crate::session_file;
+use crate::session_file::{self, SessionFileError};
 use crate::sessions::{self, TOLD_SIGMA};
 use crate::storage::Storage;
 use ::slam::{BackEnd, FrontEnd, InitialPose, LocalFrameEstimate, Session, SessionIdentity, SlamConfig};
@@ -128,7 +128,10 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
             result.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
         };
         let result = match work {
-            FileOperation::Save(session) => written(self.storage.write(&path, &session.encode())),
+            FileOperation::Save(session) => match session.encode() {
+                Ok(bytes) => written(self.storage.write(&path, &bytes)),
+                Err(why) => Err(SessionFileError::Content { file: path.clone(), why }.into()),
+            },
             FileOperation::Append { at, bytes } => written(self.storage.append(&path, at, &bytes)),
             FileOperation::Replace(bytes) => written(self.storage.replace(&path, &bytes)),
             FileOperation::Remove => written(self.storage.remove(&path)),

@@ -70,7 +70,7 @@ pub enum FileJobError {
     /// A map could not be read or written.
     #[error(transparent)]
     Map(#[from] MapFileError),
-    /// A session could not be read.
+    /// A session could not be read, or has a value with which it could not be read again.
     #[error(transparent)]
     Session(#[from] SessionFileError),
     /// A map can only be localized in.
