@@ -15,7 +15,6 @@ mod scan_check;
 mod scan_matcher;
 mod state;
 
-pub(crate) use local_frame::FRAME_UPDATES_MAX;
 pub(crate) use motion::SPEED_SIGMA_SHARE;
 pub(crate) use node_builder::UNMEASURED_MAX_S;
 pub use scan_check::ScanRejection;

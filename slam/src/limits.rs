@@ -14,3 +14,5 @@ pub(crate) const SIGMA_MAX: f64 = 1e3;
 pub(crate) const UNMEASURED_S_MAX: f32 = 1e9;
 /// Longest interval between two scans, seconds.
 pub(crate) const INTERVAL_S_MAX: f64 = 1e9;
+/// Frame updates that may wait for their node; beyond them the oldest is dropped, which a newer one replaces anyway.
+pub(crate) const FRAME_UPDATES_MAX: usize = 64;

@@ -126,7 +126,7 @@ impl BackEnd {
         for &id in &gone {
             marginalise(&mut edges, self.graph.poses(), id);
         }
-        let numbers = NodeNumbers::without(&gone, self.nodes.len());
+        let numbers = RenumberedNodes::without(&gone, self.nodes.len());
         let keep = |id: usize| numbers.of(id as u32).is_some();
         self.renumber_searches(&numbers);
         let kept_poses = self.graph.poses().iter().enumerate().filter(|(id, _)| keep(*id)).map(|(_, p)| *p);
@@ -157,7 +157,7 @@ impl BackEnd {
     }
 
     /// Gives the nodes that searches and checks under way speak of their new numbers; before the nodes are removed.
-    fn renumber_searches(&mut self, numbers: &NodeNumbers) {
+    fn renumber_searches(&mut self, numbers: &RenumberedNodes) {
         // Before the first node there is no edge.
         self.unverified_node =
             self.unverified_node.and_then(|id| numbers.at_or_after(id)).filter(|id| *id > 0);
@@ -185,14 +185,14 @@ impl BackEnd {
 }
 
 /// The numbers that nodes have after some were removed.
-struct NodeNumbers {
+struct RenumberedNodes {
     /// New number of each node; `None` if it was removed.
     new: Vec<Option<u32>>,
     /// Nodes that are left.
     kept: u32,
 }
 
-impl NodeNumbers {
+impl RenumberedNodes {
     /// The numbers after the nodes `gone`, which are sorted, were removed from `nodes` nodes.
     fn without(gone: &[u32], nodes: usize) -> Self {
         let mut kept = 0;

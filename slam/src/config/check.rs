@@ -1,7 +1,7 @@
 //! Whether a configuration can be worked with.
 
 use super::SlamConfig;
-use crate::front_end::FRAME_UPDATES_MAX;
+use crate::limits::FRAME_UPDATES_MAX;
 
 /// A number of the configuration that cannot be worked with.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -60,9 +60,6 @@ impl SlamConfig {
         between("graph.nodes_max", self.graph.nodes_max as f64, 2.0, 1e6, "2 to 1 000 000")?;
         let trajectory_max = self.graph.trajectory_max as f64;
         between("graph.trajectory_max", trajectory_max, 0.0, 1e7, "0 to 10 000 000")?;
-        // The front end keeps as many frame updates: of more, each would be dropped before it is due.
-        let lag_nodes = f64::from(self.graph.frame_update_lag_nodes);
-        between("graph.frame_update_lag_nodes", lag_nodes, 1.0, FRAME_UPDATES_MAX as f64, "1 to 64")?;
         between("graph.cauchy_sigmas", self.graph.cauchy_sigmas, 0.1, 1e6, "0.1 to 1 000 000")?;
         between("map.resolution_m", map.resolution_m, 0.01, 1.0, "0.01 to 1 m")?;
         between("map.hit_log_odds", map.hit_log_odds, 0.05, 6.0, "0.05 to 6 (natural log-odds)")?;
@@ -161,7 +158,10 @@ impl SlamConfig {
             ("relocalize.estimate_nodes_max", self.relocalize.estimate_nodes_max as f64),
             ("lifelong.contradictions", f64::from(self.lifelong.contradictions)),
         ];
-        check_all(&counts, |value| value >= 1.0, "1 or more")
+        check_all(&counts, |value| value >= 1.0, "1 or more")?;
+        // The front end keeps as many frame updates: of more, each would be dropped before it is due.
+        let lags = [("graph.frame_update_lag_nodes", f64::from(self.graph.frame_update_lag_nodes))];
+        check_all(&lags, |value| (1.0..=FRAME_UPDATES_MAX as f64).contains(&value), "1 to 64")
     }
 }
 

@@ -1,14 +1,12 @@
 //! Pose of the front end's frame in the map, updated by the back end's frame updates.
 
 use crate::graph::{carry_covariance, turn_covariance};
+use crate::limits::FRAME_UPDATES_MAX;
 use crate::node::{FrameUncertainty, MapFrameUpdate};
 use crate::relocalize::LocalFrameEstimate;
 use msg::Pose2;
 use nalgebra::Matrix3;
 use std::collections::VecDeque;
-
-/// Frame updates that may wait for their node; beyond them the oldest is dropped, which a newer one replaces anyway.
-pub(crate) const FRAME_UPDATES_MAX: usize = 64;
 
 /// Pose of the front end's frame in the map, and the frame updates that will change it.
 pub(super) struct LocalFrameInMap {
