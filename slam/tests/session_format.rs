@@ -132,18 +132,21 @@ fn more_bytes_than_the_limit_are_refused_before_they_are_looked_at() {
     assert_eq!(refused, SessionError::TooLarge { found: BYTES_MAX as u64 + 1 });
 }
 
+/// Spoils a session, which is then neither read nor written: the reason has these words.
+fn assert_refused(session: &Session, what: &str, spoil: &dyn Fn(&mut Session)) {
+    let mut spoilt = session.clone();
+    spoil(&mut spoilt);
+    let bytes = with_head(&postcard::to_allocvec(&spoilt).unwrap());
+    let why = Session::decode_any(&bytes).map(|_| ()).unwrap_err();
+    assert!(why.to_string().contains(what), "{why}, expected {what}");
+    assert_eq!(spoilt.encode(), Err(why), "it could not be read again");
+}
+
 #[test]
 fn every_value_is_checked() {
     let (bytes, record) = example();
     let session = Session::decode_any(bytes).unwrap();
-    let refused = |what: &str, spoil: &dyn Fn(&mut Session)| {
-        let mut spoilt = session.clone();
-        spoil(&mut spoilt);
-        let bytes = with_head(&postcard::to_allocvec(&spoilt).unwrap());
-        let why = Session::decode_any(&bytes).map(|_| ()).unwrap_err();
-        assert!(why.to_string().contains(what), "{why}, expected {what}");
-        assert_eq!(spoilt.encode(), Err(why), "it could not be read again");
-    };
+    let refused = |what: &str, spoil: &dyn Fn(&mut Session)| assert_refused(&session, what, spoil);
     refused("identity", &|s| s.identity.range_use_max_m = f64::NAN);
     refused("number of a node", &|s| s.back.nodes[1].id = 2);
     refused("node's pose", &|s| s.back.nodes[2].local_from_base.x_m = f64::INFINITY);
