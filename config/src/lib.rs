@@ -183,7 +183,8 @@ impl Fleet {
         }
         for (index, start) in self.starts.iter().enumerate() {
             let is_place = start[..2].iter().all(|m| m.abs() <= START_MAX_M);
-            if !is_place || !(start[2].abs() <= msg::pose::YAW_MAX_RAD) {
+            let is_pose = is_place && start[2].abs() <= msg::pose::YAW_MAX_RAD;
+            if !is_pose {
                 return Err(ValueError::Start { index, start: *start });
             }
         }
