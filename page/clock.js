@@ -4,6 +4,8 @@
 const SAMPLES_MAX = 10;
 /** An answer may differ from the best one by this and half the time that both took, seconds. By more, the bridge's clock has been set, or stood. */
 const DRIFT_S = 0.5;
+/** An answer that took longer may be wrong by so much that the bridge refuses commands as late, seconds: it allows them 1 s. */
+const TOOK_MAX_S = 1;
 
 /** The bridge's clock beside the page's. All times are seconds. */
 export class RunClock {
@@ -35,10 +37,10 @@ export class RunClock {
     return this.samples.length === 0 ? null : this.samples.reduce((a, b) => (b.tookS < a.tookS ? b : a));
   }
 
-  /** Returns the bridge's time at a time of the page, or null if it is not known. */
+  /** Returns the bridge's time at a time of the page, or null if it is not known so well that a command would be taken for new. */
   toBridge(/** @type {number} */ now) {
     const best = this.best();
-    return best && now + best.offset;
+    return best && best.tookS <= TOOK_MAX_S ? now + best.offset : null;
   }
 
   /** Returns when something with this stamp happened, on the page's clock: now, at the latest. */

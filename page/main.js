@@ -151,8 +151,8 @@ function send(topic, type, payload, isLateWorthy = false) {
 
 /** Whether something has come lately on a connection. @param {Connection} connection */
 const isConnected = (connection) => connection.isOpen && connection.silence() <= SILENT_MS;
-/** Whether the bridge has answered lately to commands. */
-const isAnswering = () => isConnected(live);
+/** Whether the bridge has answered lately to commands, and its time is known, which commands carry. */
+const isAnswering = () => isConnected(live) && live.clock.toBridge(now()) !== null;
 
 setInterval(() => {
   [live, maps].forEach((connection) => connection.tick());

@@ -259,17 +259,23 @@ export class Fleet {
     /** Newest stamps of the frames. @type {Map<string, number>} */
     const changed = new Map();
     const mapLinks = new Map();
-    const bases = new Set([...this.robots.values()].map(({ baseFrame }) => baseFrame));
+    const [parents, bases, robotMaps] = [new Set(), new Set(), new Set()];
+    for (const robot of this.robots.values()) {
+      bases.add(robot.baseFrame);
+      robotMaps.add(this.mapFrameOf(robot));
+    }
     for (const { parent, child, pose, stamp } of readTransforms(view)) {
+      parents.add(parent);
       const before = this.frames.frames.get(child);
       this.frames.set(parent, child, pose, isStatic ? Infinity : stamp);
       changed.set(child, stamp);
       // Others may publish frames with times of another clock.
-      if (!isStatic && (parent === MAP || bases.has(child))) this.framesAt = Math.max(this.framesAt, stamp);
-      if (parent === MAP && !isStatic) mapLinks.set(child, pose);
+      if (!isStatic && bases.has(child)) this.framesAt = Math.max(this.framesAt, stamp);
+      if (parent === MAP && !isStatic && robotMaps.has(child)) mapLinks.set(child, pose);
       if (parent === MAP && before?.parent === MAP) this.moveTrails(child, compose(pose, invert(before.pose)));
     }
-    this.followMapFrame(mapLinks);
+    // With what lies below one of the maps it is the pose of one robot, and not the set of all maps.
+    if (![...mapLinks.keys()].some((map) => parents.has(map))) this.followMapFrame(mapLinks);
     for (const robot of this.robots.values()) {
       // A robot is where its odometry says: only that shows that the pose is new.
       const stamp = changed.get(robot.baseFrame);
@@ -278,12 +284,10 @@ export class Fleet {
   }
 
   /**
-   * Takes the maps in the merged map. Its frame is another one if none of them was in it before, or if all of those have jumped.
-   * @param {Map<string, Pose>} links
+   * Takes all robots' maps in the merged map. Its frame is another one if none of them was in it before, or if all of those have jumped.
+   * @param {Map<string, Pose>} maps
    */
-  followMapFrame(links) {
-    const odometries = new Set([...this.robots.values()].map(({ baseFrame }) => this.frames.frames.get(baseFrame)?.parent));
-    const maps = new Map([...links].filter(([frame]) => !odometries.has(frame)));
+  followMapFrame(maps) {
     if (maps.size === 0) return;
     const stays = (/** @type {[string, Pose]} */ [frame, pose]) => {
       const before = this.mapLinks.get(frame);

@@ -185,7 +185,10 @@ impl Core {
     /// transforms for late subscribers, drops clients that are gone.
     pub fn tick(&mut self, now: Monotonic) {
         self.commands.record_time(now);
-        self.stats.tick(now);
+        // A replay shows what was recorded, however slowly it goes.
+        if !self.access.is_replay {
+            self.stats.tick(now);
+        }
         self.gate.tick(now);
         self.send_velocities();
         self.enforce_limits(now);

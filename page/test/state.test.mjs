@@ -16,18 +16,25 @@ const FIGURES = {
 
 /** A message of one transform. */
 function transform(parent, child, x, y, stamp = 1) {
+  return transforms([[parent, child, x, y]], stamp);
+}
+
+/** A message with several transforms: parent, child, x and y of each. */
+function transforms(links, stamp) {
   const message = new CdrWriter();
   const u32 = (value) => message.number(4, (view) => view.setUint32(0, value, true));
   const string = (text) => {
     u32(text.length + 1);
     message.bytes.push(...new TextEncoder().encode(`${text}\0`));
   };
-  u32(1);
-  message.i32(stamp);
-  u32(0);
-  string(parent);
-  string(child);
-  [x, y, 0, 0, 0, 0, 1].forEach((value) => message.f64(value));
+  u32(links.length);
+  for (const [parent, child, x, y] of links) {
+    message.i32(stamp);
+    u32(0);
+    string(parent);
+    string(child);
+    [x, y, 0, 0, 0, 0, 1].forEach((value) => message.f64(value));
+  }
   return new DataView(message.done().buffer);
 }
 
@@ -229,8 +236,11 @@ test("a fixed link is valid for ever, and times of others' frames make none old"
   const { fleet, robot, at } = fleetWithOwnMap();
   fleet.receive("/tf_static", transform("base_footprint_1", "base_scan_1", 1, 0, 0), 1);
   at(1000, 5);
-  fleet.receive("/tf", transform("world", "camera", 0, 0, 2_000_000_000), 1000);
+  for (const [parent, child] of [["world", "camera"], ["map", "dock"], ["base_footprint_1", "gripper"]]) {
+    fleet.receive("/tf", transform(parent, child, 0, 0, 2_000_000_000), 1000);
+  }
   at(1001, null);
+  assert.equal(fleet.mapFrames, 1);
   assert.equal(robot.isStale(1001), false);
   assert.deepEqual(fleet.placeIn("base_scan_1")({ x: 0, y: 0, yaw: 0 }), { x: 6, y: 0, yaw: 0 });
 });
@@ -251,7 +261,17 @@ test("the frame of the map is another one when all maps in it have jumped, or no
   assert.equal(fleet.mapFrames, 1, "a correction of centimetres");
   at(3, 8);
   assert.equal(fleet.mapFrames, 2);
-  fleet.receive("/tf", transform("map", "map_2", 0, 0, 4), 4);
+  fleet.robots.get(2).baseFrame = "base_footprint_2";
+  fleet.receive("/tf", transforms([["map_2", "odom_2", 0, 0], ["odom_2", "base_footprint_2", 0, 0]], 4), 4);
+  assert.equal(fleet.mapFrames, 2);
+  // Each robot's pose comes with the link of its own map alone: that is not all that is in the merged map.
+  for (let stamp = 5; stamp < 9; stamp += 1) {
+    for (const robot of [1, 2]) {
+      fleet.receive("/tf", transforms([["map", `map_${robot}`, 8, 0], [`map_${robot}`, `odom_${robot}`, 0, 0]], stamp), stamp);
+    }
+  }
+  assert.equal(fleet.mapFrames, 2);
+  fleet.receive("/tf", transform("map", "map_2", 8, 0, 9), 9);
   assert.equal(fleet.mapFrames, 3);
   fleet.receive("/tf", transform("map", "odom_1", 50, 0, 5), 5);
   assert.equal(fleet.mapFrames, 3, "a robot's odometry is no map");
