@@ -14,7 +14,9 @@
 mod folder;
 mod running;
 
-pub use folder::{check_output, keep_earlier_results, lock_folder, restore_folder};
+pub use folder::{
+    LINK_REPORT, check_output, keep_earlier_results, lock_folder, remove_link_report, restore_folder,
+};
 pub use running::{LostFleet, RunningFleets};
 
 use crate::channel::Opener;
@@ -214,6 +216,7 @@ impl Run {
     ) -> Result<Self, RunError> {
         let dir = create_folder(dir)?;
         let dir_lock = lock_folder(&dir)?;
+        remove_link_report(&dir)?;
         let remove = |name: &str, root: &Path| {
             if Domain::new(name, root).is_ok_and(|domain| domain.remove_leftover()) {
                 tracing::warn!("removed what a fleet had left that did not end in order ({name})");

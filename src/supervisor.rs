@@ -297,7 +297,7 @@ impl Supervisor {
     /// Asks every child to end, kills those that do not, and removes the run's shared memory. A further request of `stop` meanwhile
     /// kills them at once. `tell` is called with what is waited for. Returns what is not saved.
     pub fn end(&mut self, stop: &Stop, tell: &mut dyn FnMut(String)) -> Vec<String> {
-        let was_requested = stop.take();
+        let mut was_requested = stop.take();
         let children = || self.members.iter().filter_map(|member| member.child.as_ref());
         children().for_each(|child| signal(child, Signal::TERM));
         let (asked, mut lost) = (Instant::now(), Vec::new());
@@ -307,7 +307,10 @@ impl Supervisor {
             let name = member.name();
             let Some(child) = member.child.as_mut() else { continue };
             let mut is_told = false;
-            while matches!(child.try_wait(), Ok(None)) && asked.elapsed() < grace && !stop.requested() {
+            while matches!(child.try_wait(), Ok(None))
+                && asked.elapsed() < grace
+                && !stop.is_requested_again(&mut was_requested)
+            {
                 if asked.elapsed() >= END_GRACE && !std::mem::replace(&mut is_told, true) {
                     tell(format!("ending: waiting for the {name}; Ctrl-C again kills it"));
                 }

@@ -183,6 +183,9 @@ pub struct ProcessView {
 
 /// Age of the newest heartbeat after which a process counts as silent, seconds: two are missing then.
 const SILENT_AFTER_S: f64 = 2.5;
+/// Time without any heartbeat after which a process counts as not reporting, seconds: it has 10 s to start, and then reports once a
+/// second.
+const NOT_REPORTING_AFTER_S: f64 = 12.0;
 
 impl FleetView {
     /// Removes the errors of the robots' map transforms where these were given, because the starts are known: they say nothing.
@@ -354,7 +357,7 @@ impl ProcessView {
         let role = Role::from_code(health.role)?;
         let has_reported = health.pid != 0;
         // One that has just been started is not listed yet.
-        if !has_reported && stats.age_s < SILENT_AFTER_S {
+        if !has_reported && stats.age_s < NOT_REPORTING_AFTER_S {
             return None;
         }
         let process = match RobotId::new(health.robot as usize) {

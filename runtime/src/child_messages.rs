@@ -19,8 +19,10 @@ const LINE_MAX: u64 = 4096;
 const LINES_MAX: usize = 256;
 /// Size at which a log becomes the earlier one, bytes: some 40 000 lines.
 const LOG_BYTES_MAX: u64 = 4 << 20;
-/// Longest wait for the last lines after the children have ended.
-const LAST_LINES_WAIT: Duration = Duration::from_secs(1);
+/// Lines that are taken to be shown at once: who shows them has other work too.
+const LINES_AT_ONCE: usize = 64;
+/// Longest wait for the last lines after the children have ended: a loaded machine may be slow.
+const LAST_LINES_WAIT: Duration = Duration::from_secs(5);
 
 /// The end of the pipe that children inherit.
 static WRITER: Mutex<Option<PipeWriter>> = Mutex::new(None);
@@ -43,23 +45,23 @@ pub struct ChildMessages {
 }
 
 impl ChildMessages {
-    /// Collects the messages of children that are started from now on, and appends them to a file, if one is given.
+    /// Collects the messages of children that are started from now on, and appends them to a file.
     ///
     /// # Errors
     /// There is no pipe or no thread.
-    pub fn collect(log: Option<PathBuf>) -> io::Result<Self> {
+    pub fn collect(log: PathBuf) -> io::Result<Self> {
         let (reader, writer) = io::pipe()?;
         fcntl_setfl(&writer, fcntl_getfl(&writer)? | OFlags::NONBLOCK)?;
         let (sender, lines) = sync_channel(LINES_MAX);
-        let read = move || read_lines(reader, log.map(Log::new), &sender);
+        let read = move || read_lines(reader, Log::new(log), &sender);
         std::thread::Builder::new().name("messages".into()).spawn(read)?;
         set_writer(Some(writer));
         Ok(Self { lines })
     }
 
-    /// Returns the lines that have come.
-    pub fn received(&self) -> impl Iterator<Item = String> + '_ {
-        self.lines.try_iter()
+    /// Returns lines that have come, at most 64.
+    pub fn received(&self) -> Vec<String> {
+        self.lines.try_iter().take(LINES_AT_ONCE).collect()
     }
 
     /// Returns the last lines. Call it when all children have ended.
@@ -76,7 +78,7 @@ impl Drop for ChildMessages {
 }
 
 /// Reads lines until no child has the pipe any more.
-fn read_lines(from: PipeReader, mut log: Option<Log>, to: &SyncSender<String>) {
+fn read_lines(from: PipeReader, mut log: Log, to: &SyncSender<String>) {
     let mut from = BufReader::new(from);
     loop {
         let mut line = Vec::new();
@@ -85,9 +87,7 @@ fn read_lines(from: PipeReader, mut log: Option<Log>, to: &SyncSender<String>) {
             Ok(0) | Err(_) => return,
         }
         let text = String::from_utf8_lossy(&line).trim_end_matches(['\n', '\r']).to_owned();
-        if let Some(log) = &mut log {
-            log.append(&text);
-        }
+        log.append(&text);
         // A launcher that does not look has the log.
         let _ = to.try_send(text);
     }
@@ -115,7 +115,9 @@ impl Log {
         {
             let mut earlier = self.path.clone().into_os_string();
             earlier.push(".earlier");
-            let _ = std::fs::rename(&self.path, earlier);
+            if std::fs::rename(&self.path, earlier).is_err() {
+                return;
+            }
             self.file = None;
         }
         if self.file.is_none() {
@@ -146,7 +148,7 @@ mod tests {
     fn children_print_into_the_pipe_and_never_wait_for_it() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("launcher.log");
-        let messages = ChildMessages::collect(Some(path.clone())).unwrap();
+        let messages = ChildMessages::collect(path.clone()).unwrap();
         let run = |script: &str| assert!(spawn(&mut shell(script)).unwrap().wait().unwrap().success());
         run("echo first >&2; printf second >&2");
         assert_eq!(messages.end(), ["first", "second"]);

@@ -42,6 +42,15 @@ impl Stop {
         self.0.swap(false, Ordering::Relaxed)
     }
 
+    /// Returns whether a further request has come after one that was taken. The first one may come late.
+    pub fn is_requested_again(&self, was_requested: &mut bool) -> bool {
+        if !*was_requested {
+            *was_requested = self.take();
+            return false;
+        }
+        self.requested()
+    }
+
     /// Returns whether the process should end.
     pub fn requested(&self) -> bool {
         self.0.load(Ordering::Relaxed)

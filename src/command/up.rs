@@ -279,15 +279,22 @@ fn run_created(
     keep_earlier_results(&run.dir)?;
     let mut screen = Screen::new(run, args.in_background);
     check_resources(run, &mut screen)?;
-    // In the background standard error is the log.
-    let log = (!args.in_background).then(|| run.dir.join("launcher.log"));
-    let messages = ChildMessages::collect(log)?;
-    let mut supervisor = Supervisor::start(run, listener)?;
-    let mut shown = (&mut screen, &messages);
+    // In the background children write into the log themselves: standard error is the log.
+    let collect = || ChildMessages::collect(run.dir.join("launcher.log"));
+    let messages = (!args.in_background).then(collect).transpose()?;
+    let supervisor = Supervisor::start(run, listener);
+    let mut shown = (&mut screen, messages.as_ref());
+    let mut supervisor = match supervisor {
+        Ok(supervisor) => supervisor,
+        Err(why) => {
+            messages.into_iter().for_each(|messages| screen.show_lines(&messages.end()));
+            return Err(why.into());
+        }
+    };
     let result = watch(run, args.seconds, &mut supervisor, hooks, &mut shown, stop);
     let failing = supervisor.failing();
     let lost = supervisor.end(stop, &mut |text| screen.show_event(&text));
-    messages.end().iter().for_each(|line| screen.show_line(line));
+    messages.into_iter().for_each(|messages| screen.show_lines(&messages.end()));
     let mut report = result?;
     report.not_written.extend(lost);
     let written = report.write(&run.dir);
@@ -307,7 +314,7 @@ fn watch(
     seconds: Option<f64>,
     supervisor: &mut Supervisor,
     hooks: &mut dyn FleetHooks,
-    (screen, messages): &mut (&mut Screen, &ChildMessages),
+    (screen, messages): &mut (&mut Screen, Option<&ChildMessages>),
     stop: &Stop,
 ) -> Result<Report, UpError> {
     let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
@@ -338,7 +345,7 @@ fn watch(
             series.add(&fleet, |robot| observer.command(robot));
             screen.show(&fleet, console.help(), begun.elapsed(), seconds);
         }
-        messages.received().for_each(|line| screen.show_line(&line));
+        screen.show_lines(&messages.map(ChildMessages::received).unwrap_or_default());
         screen.show_age();
         if let Some(done) = console.handle_key() {
             screen.show_event(&done);
@@ -356,21 +363,11 @@ fn watch(
         rates.add(fleet);
         rates.fill(fleet);
     }
-    let pictures = draw_maps(&run.config, &observer, &mut series);
+    let pictures = Pictures::of_maps(&run.config, &observer, &mut series);
     let report = Report::new(run, begun.elapsed(), fleet, operator, maps, events);
     let mut report = Report { series, pictures, ..report };
     report.not_written.extend(not_written);
     Ok(report)
-}
-
-/// Draws all maps with the ways of the robots.
-fn draw_maps(config: &FleetConfig, observer: &Observer, series: &mut Series) -> Pictures {
-    if let Some(transforms) = observer.map_transforms() {
-        series.set_map_transforms(transforms);
-    }
-    let mut pictures = Pictures::new(config);
-    observer.show_maps(|name, map| pictures.add(name, map, series));
-    pictures
 }
 
 /// Compares the machine's resources with what the fleet needs. What is short but not too short is shown.

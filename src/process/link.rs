@@ -92,7 +92,7 @@ pub fn serve_link(
         if now() >= report_due {
             report_due = now() + REPORT_PERIOD;
             // While the disk does not answer, the newer figures follow later.
-            drop(files.submit(link.report()));
+            drop(files.submit(link.report().of_now()));
         }
         wait(link.listeners(), due);
     }

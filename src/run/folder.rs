@@ -19,6 +19,21 @@ pub fn lock_folder(dir: &Path) -> Result<Lock, RunError> {
     locked.ok_or_else(|| RunError::FolderInUse { dir: dir.into(), pid: launcher(dir) })
 }
 
+/// Name of the file with the figures of the link to other machines.
+pub const LINK_REPORT: &str = "link.json";
+
+/// Removes the figures of an earlier fleet's link: what that heard says nothing of this one.
+///
+/// # Errors
+/// The file cannot be removed.
+pub fn remove_link_report(dir: &Path) -> Result<(), RunError> {
+    let path = dir.join(LINK_REPORT);
+    match std::fs::remove_file(&path) {
+        Err(why) if why.kind() != std::io::ErrorKind::NotFound => Err(RunError::file(&path)(why)),
+        _ => Ok(()),
+    }
+}
+
 /// Makes the folder of a running fleet anew if it was moved or deleted, so that its processes can be started again. Returns the new
 /// folder's lock; `None` if the folder is there.
 ///

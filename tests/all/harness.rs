@@ -184,9 +184,9 @@ impl Fleet {
     }
 }
 
-/// Finds a process of a fleet by its name in the statistics.
+/// Finds a process of a fleet that has reported by its name in the statistics.
 pub fn process<'a>(view: &'a FleetView, name: &str) -> Option<&'a ProcessView> {
-    view.processes.iter().find(|process| process.process == name)
+    view.processes.iter().find(|process| process.process == name && process.pid != 0)
 }
 
 /// Runs the binary and returns its output.

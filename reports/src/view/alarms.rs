@@ -83,9 +83,9 @@ mod tests {
         (stats.robot_count, stats.header.stamp) = (1, msg::Stamp::from_seconds(60.0));
         let roles = [(Role::Slam, 1), (Role::Record, 0), (Role::Merge, 0)];
         for (process, (role, robot)) in stats.processes.iter_mut().zip(roles) {
-            (process.health.role, process.health.robot, process.age_s) = (role as u32, robot, 2.6);
+            (process.health.role, process.health.robot, process.age_s) = (role as u32, robot, 12.6);
         }
-        stats.processes[2].health.pid = 100;
+        (stats.processes[2].health.pid, stats.processes[2].age_s) = (100, 2.6);
         let fleet = || FleetView::new(&stats).with_ended_processes(|_| true);
         let states: Vec<&str> = fleet().processes.iter().map(|process| process.state).collect();
         assert_eq!(states, ["not reporting", "not reporting", "silent"]);
@@ -98,7 +98,7 @@ mod tests {
         let failing = fleet().with_failing_processes(|name| name == "merge");
         assert!(failing.alarms().iter().any(|alarm| alarm.starts_with("merge dies again and again")));
         // It is just being started.
-        stats.processes[1].age_s = 2.0;
+        stats.processes[1].age_s = 11.0;
         assert_eq!(FleetView::new(&stats).processes.len(), 2);
     }
 }

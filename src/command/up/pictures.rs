@@ -3,6 +3,7 @@
 use super::report::Report;
 use super::system::add_system;
 use crate::config::FleetConfig;
+use crate::observer::Observer;
 use crate::process::record::description::machine;
 use msg::{GridView, Pose2};
 use reports::{FleetView, Line, Page, RobotView, Row, Series, Trail};
@@ -24,6 +25,16 @@ pub struct Pictures {
 }
 
 impl Pictures {
+    /// Draws all maps with the ways of the robots.
+    pub fn of_maps(config: &FleetConfig, observer: &Observer, series: &mut Series) -> Self {
+        if let Some(transforms) = observer.map_transforms() {
+            series.set_map_transforms(transforms);
+        }
+        let mut pictures = Self::new(config);
+        observer.show_maps(|name, map| pictures.add(name, map, series));
+        pictures
+    }
+
     /// Begins without maps.
     pub fn new(config: &FleetConfig) -> Self {
         let mut system = Page::part();

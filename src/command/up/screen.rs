@@ -45,19 +45,20 @@ impl Screen {
 
     /// Prints an event above the table.
     pub fn show_event(&mut self, event: &str) {
-        self.show_line(&format!("! {event}"));
+        self.show_lines(&[format!("! {event}")]);
     }
 
-    /// Prints a line, such as a message of a process, above the table.
-    pub fn show_line(&mut self, line: &str) {
+    /// Prints lines, such as messages of processes, above the table.
+    pub fn show_lines(&mut self, lines: &[String]) {
         match terminal::size(&stderr()) {
+            _ if lines.is_empty() => {}
             Some(size) => {
                 let style = terminal::style(&stderr());
-                let text = self.erase(size) + &style.wrap(line, 2);
-                note_text(&text);
+                let text = self.erase(size);
+                note_text(&lines.iter().fold(text, |text, line| text + &style.wrap(line, 2)));
                 self.draw(size);
             }
-            None => note(line),
+            None => lines.iter().for_each(|line| note(line)),
         }
     }
 

@@ -4,7 +4,7 @@ use super::{BaseLink, RobotLink, StopControl};
 use crate::clock::now;
 use crate::ports::Ports;
 use crate::process::file_thread::FileJobs;
-use crate::run::Run;
+use crate::run::{LINK_REPORT, Run};
 use ::link::ByteCounters;
 use link_transport::Transport;
 use serde::{Deserialize, Serialize};
@@ -49,7 +49,7 @@ pub struct PeerReport {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct LinkReport {
-    /// When it was written, by the machine's clock, nanoseconds: it is written once a second.
+    /// When its figures were taken, by the machine's clock, nanoseconds: it is written once a second.
     pub written_ns: u64,
     /// Process that has written it.
     pub process: u32,
@@ -72,9 +72,14 @@ impl LinkReport {
         heard.map(|peer| peer.robot).collect()
     }
 
-    /// Writes the report of a run, with the time and those that were heard before.
+    /// Returns the report with the present time.
+    pub(super) fn of_now(self) -> Self {
+        Self { written_ns: now().0, ..self }
+    }
+
+    /// Writes the report of a run, with those that were heard before.
     fn write(mut self, run_dir: &Path, heard_before: &[String]) -> io::Result<()> {
-        (self.written_ns, self.process) = (now().0, std::process::id());
+        self.process = std::process::id();
         for name in heard_before {
             match self.peers.iter_mut().find(|peer| peer.robot == *name) {
                 Some(peer) => peer.was_heard = true,
@@ -90,7 +95,7 @@ impl LinkReport {
 }
 
 fn path(run_dir: &Path) -> PathBuf {
-    run_dir.join("link.json")
+    run_dir.join(LINK_REPORT)
 }
 
 /// The file with the figures of the link, and the robots that an earlier process of this run had heard.
