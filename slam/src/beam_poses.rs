@@ -2,6 +2,7 @@
 //!
 //! The motion during the sweep comes from odometry, or from the robot's last speed.
 
+use crate::limits::SWEEP_M_MAX;
 use crate::point_transform::PointTransform;
 use msg::{Pose2, Scan};
 
@@ -33,7 +34,7 @@ impl BeamPoses {
     }
 
     /// Poses of a scan with motion. `base_at` returns the base pose at a time after the stamp (seconds), in the
-    /// frame of the base at the stamp; `None` if it is unknown at one of the segments' ends.
+    /// frame of the base at the stamp; `None` if it is unknown, or farther than a robot can go in a sweep, at one of the segments' ends.
     pub fn new(
         base_from_scan: Pose2,
         scan: &Scan,
@@ -42,7 +43,11 @@ impl BeamPoses {
     ) -> Option<Self> {
         let mut base_poses = [Pose2::IDENTITY; SEGMENTS + 1];
         for (segment, pose) in base_poses.iter_mut().enumerate().skip(1) {
-            *pose = base_at(duration_s * segment as f64 / SEGMENTS as f64)?;
+            let base = base_at(duration_s * segment as f64 / SEGMENTS as f64)?;
+            if base.x_m.hypot(base.y_m) > SWEEP_M_MAX {
+                return None;
+            }
+            *pose = base;
         }
         Some(Self { base_from_scan, base_poses: Some(base_poses), beams: scan.len as usize })
     }

@@ -6,8 +6,11 @@ pub(crate) const POSITION_M_MAX: f64 = 1e9;
 pub(crate) const ODOMETRY_M_MAX: f64 = 1e8;
 /// Largest coordinate of a point that a scan saw, metres.
 pub(crate) const POINT_M_MAX: f32 = 1e4;
-/// Longest beam, and largest distance of a LiDAR from the middle of its robot, metres: their sum is within [`POINT_M_MAX`].
+/// Longest beam, and largest distance of a LiDAR from the middle of its robot, metres: their sum with [`SWEEP_M_MAX`] is within
+/// [`POINT_M_MAX`].
 pub(crate) const REACH_M_MAX: f32 = 4e3;
+/// Largest motion of a robot during one sweep, metres: more is an error of odometry.
+pub(crate) const SWEEP_M_MAX: f64 = 1e3;
 /// Largest standard deviation of an estimate, metres and radians.
 pub(crate) const SIGMA_MAX: f64 = 1e3;
 /// Longest time in which nothing measured the motion, seconds: 30 years.
