@@ -78,11 +78,6 @@ export class RobotPanels {
       return value;
     });
     const name = create("span", "name", `${robot.number} · ${robot.name}`);
-    // The rows change all the time: they describe the button, and are no part of what it is called.
-    [name.id, state.id, rows.id] = [`name-${robot.number}`, `state-${robot.number}`, `rows-${robot.number}`];
-    button.setAttribute("aria-labelledby", `${name.id} ${state.id}`);
-    button.setAttribute("aria-describedby", rows.id);
-    rows.setAttribute("aria-hidden", "true");
     button.append(icon, name, state, rows);
     button.addEventListener("click", () => this.onSelect(robot.number));
     const item = create("li");
