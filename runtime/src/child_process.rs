@@ -72,7 +72,7 @@ mod tests {
     /// Set for the process that the test starts.
     const IS_CHILD: &str = "MR_SLAM_TEST_CHILD";
 
-    /// Copies this test's program, runs the copy, and has it start itself after its file was deleted.
+    /// Links this test's program, runs it by the link, and has it start itself after the link was deleted.
     #[test]
     fn a_program_whose_file_is_gone_starts_itself_again() {
         let own = std::env::current_exe().unwrap();
@@ -83,10 +83,11 @@ mod tests {
         ];
         match std::env::var(IS_CHILD).as_deref() {
             Err(_) => {
-                let folder = tempfile::tempdir().unwrap();
-                let copy = folder.path().join("copy");
-                std::fs::copy(own, &copy).unwrap();
-                let output = Command::new(&copy).args(this_test).env(IS_CHILD, "first").output().unwrap();
+                // A copy would be open for writing in the processes that other tests start meanwhile, and could not be started then.
+                let folder = tempfile::tempdir_in(own.parent().unwrap()).unwrap();
+                let link = folder.path().join("link");
+                std::fs::hard_link(own, &link).unwrap();
+                let output = Command::new(&link).args(this_test).env(IS_CHILD, "first").output().unwrap();
                 let printed = String::from_utf8_lossy(&output.stdout).into_owned();
                 assert!(
                     output.status.success() && printed.contains("the second runs as mr-slam"),
