@@ -5,6 +5,7 @@
 
 use crate::config::FleetConfig;
 use crate::run::Run;
+use crate::storage::{DiskStorage, Storage as _};
 use sim::{Room, RoomError, StartError};
 use std::fs;
 use std::io;
@@ -80,13 +81,7 @@ pub fn refuse(run: &Run) -> Result<(), OfferedRoomError> {
 
 /// Removes the rooms that an earlier run has left in the folder.
 pub fn remove_old(run: &Run) -> io::Result<()> {
-    for path in [file(run), accepted_file(run)] {
-        match fs::remove_file(path) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
-    }
-    Ok(())
+    [file(run), accepted_file(run)].iter().try_for_each(|path| DiskStorage.remove(path))
 }
 
 /// Returns the room that was accepted in a run.

@@ -252,12 +252,7 @@ fn set_aside(folder: &Path, continued: usize) -> Result<(), SessionsError> {
     };
     for robot in RobotId::first(ROBOTS_MAX) {
         let paused = pause_marker(folder, robot);
-        match std::fs::remove_file(&paused) {
-            Err(source) if source.kind() != io::ErrorKind::NotFound => {
-                return Err(SessionsError::StartsFile { file: paused, source });
-            }
-            _ => {}
-        }
+        DiskStorage.remove(&paused).map_err(|source| SessionsError::StartsFile { file: paused, source })?;
     }
     for robot in RobotId::first(continued) {
         session_records::keep_for_next_run(&file(folder, robot))

@@ -23,6 +23,7 @@ use frames::{mirrored, mount, odometry_transform};
 use msg::{Pose2, Scan, Stamp};
 use namespace::{namespace, of_same_robot};
 use ros_messages::{LaserScan, Message as _};
+use serde::Serialize;
 use sources::{changes_of_poses, changes_of_scans};
 use std::io::Read;
 use times::{in_order, with_scans};
@@ -92,9 +93,10 @@ pub struct Bag {
 }
 
 /// Numbers of messages of a bag that are left out, and of times when its clock was set back.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct LeftOut {
-    /// Messages that could not be decoded, or are no measurement.
+    /// Messages that could not be decoded, or are no measurement. Not in JSON: they are counted with a log's malformed lines.
+    #[serde(skip)]
     pub malformed: u64,
     /// Scans with more beams than [`msg::BEAMS_MAX`].
     pub too_many_beams: u64,

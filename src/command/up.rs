@@ -283,7 +283,6 @@ fn run_created(
     let collect = || ChildMessages::collect(run.dir.join("launcher.log"));
     let messages = (!args.in_background).then(collect).transpose()?;
     let supervisor = Supervisor::start(run, listener);
-    let mut shown = (&mut screen, messages.as_ref());
     let mut supervisor = match supervisor {
         Ok(supervisor) => supervisor,
         Err(why) => {
@@ -291,6 +290,7 @@ fn run_created(
             return Err(why.into());
         }
     };
+    let mut shown = (&mut screen, messages.as_ref());
     let result = watch(run, args.seconds, &mut supervisor, hooks, &mut shown, stop);
     let failing = supervisor.failing();
     let lost = supervisor.end(stop, &mut |text| screen.show_event(&text));

@@ -2,6 +2,7 @@
 
 use super::{Run, RunError, RunFile, create_folder};
 use crate::runtime_folder::Lock;
+use crate::storage::{DiskStorage, Storage as _};
 use std::io::ErrorKind;
 use std::path::Path;
 
@@ -28,10 +29,7 @@ pub const LINK_REPORT: &str = "link.json";
 /// The file cannot be removed.
 pub fn remove_link_report(dir: &Path) -> Result<(), RunError> {
     let path = dir.join(LINK_REPORT);
-    match std::fs::remove_file(&path) {
-        Err(why) if why.kind() != std::io::ErrorKind::NotFound => Err(RunError::file(&path)(why)),
-        _ => Ok(()),
-    }
+    DiskStorage.remove(&path).map_err(RunError::file(&path))
 }
 
 /// Makes the folder of a running fleet anew if it was moved or deleted, so that its processes can be started again. Returns the new

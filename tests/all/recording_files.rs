@@ -4,12 +4,13 @@ use bridge::ros::{OccupancyGrid, decode};
 use formats::bag_folder::files_of;
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
-use mr_slam::process::record::{describe_parts, write_description};
+use mr_slam::process::record::{Summary, describe_parts, write_description};
 use mr_slam::recording_files::RecordingFiles;
 use msg::grid::{Occupancy, occupancy};
 use recording::RecordingReader;
 use recording::rosbag2::Bag;
 use std::fs::File;
+use std::path::Path;
 
 /// Ticks of a run: enough for maps.
 const TICKS: usize = 1500;
@@ -20,6 +21,24 @@ fn config() -> FleetConfig {
     config
 }
 
+/// Runs a fleet for so many ticks and records it to a path. `before_tick` is called with the number of each tick.
+fn recorded(
+    config: &FleetConfig,
+    path: &Path,
+    ticks: usize,
+    mut before_tick: impl FnMut(usize),
+) -> (Lockstep, Summary) {
+    let mut fleet = Lockstep::new(config, true).unwrap();
+    let files = RecordingFiles::new(path, config.recording.disk_free_bytes());
+    let mut recording = fleet.record(files).unwrap();
+    for tick in 0..ticks {
+        before_tick(tick);
+        fleet.tick(&mut |_, _| {});
+        recording.step();
+    }
+    (fleet, recording.finish())
+}
+
 #[test]
 fn a_recording_that_is_split_is_whole_in_each_file() {
     let folder = tempfile::tempdir().unwrap();
@@ -27,14 +46,7 @@ fn a_recording_that_is_split_is_whole_in_each_file() {
     let mut config = config();
     // Below what the configuration permits, so that some files come in a short run.
     config.recording.split_mb = 0;
-    let mut fleet = Lockstep::new(&config, true).unwrap();
-    let files = RecordingFiles::new(&path, config.recording.disk_free_bytes());
-    let mut recording = fleet.record(files).unwrap();
-    for _ in 0..400 {
-        fleet.tick(&mut |_, _| {});
-        recording.step();
-    }
-    let summary = recording.finish();
+    let (_, summary) = recorded(&config, &path, 400, |_| {});
     assert!(summary.files.len() >= 3, "{:?}", summary.files);
     assert_eq!(summary.files[1].file_name().unwrap(), "run_1.mcap");
     let mut messages = 0;
@@ -72,18 +84,12 @@ fn each_message_of_a_recording_that_ends_is_in_a_file_or_dropped() {
     let config = config();
     let record = |name: &str, delete_at: Option<usize>| {
         let path = folder.path().join(name);
-        let mut fleet = Lockstep::new(&config, true).unwrap();
-        let files = RecordingFiles::new(&path, config.recording.disk_free_bytes());
-        let mut recording = fleet.record(files).unwrap();
-        for tick in 0..600 {
+        let (_, summary) = recorded(&config, &path, 600, |tick| {
             if delete_at == Some(tick) {
                 // What was written can be read under another name.
                 std::fs::rename(&path, path.with_extension("moved")).unwrap();
             }
-            fleet.tick(&mut |_, _| {});
-            recording.step();
-        }
-        let summary = recording.finish();
+        });
         let messages = summary.topics.iter().map(|topic| topic.messages).sum::<u64>();
         (messages, summary.dropped, summary.ended)
     };
@@ -107,14 +113,7 @@ fn the_newest_maps_are_at_the_end_of_a_recording() {
     let mut config = config();
     // Longer than the run: only the first map is due, and the last.
     config.recording.map_period_s = 1000.0;
-    let mut fleet = Lockstep::new(&config, true).unwrap();
-    let files = RecordingFiles::new(&path, config.recording.disk_free_bytes());
-    let mut recording = fleet.record(files).unwrap();
-    for _ in 0..TICKS {
-        fleet.tick(&mut |_, _| {});
-        recording.step();
-    }
-    recording.finish();
+    let (mut fleet, _) = recorded(&config, &path, TICKS, |_| {});
     let mut reader = RecordingReader::new(File::open(&path).unwrap());
     let mut maps = Vec::new();
     while let Some(message) = reader.next_message().unwrap() {

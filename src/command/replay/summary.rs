@@ -44,7 +44,7 @@ pub struct Summary {
     /// Number of lines of other kinds.
     pub skipped_lines: u64,
     /// What is left out of a recording.
-    pub left_out: LeftOutOfLog,
+    pub left_out: LeftOut,
     /// Number of scans from which the robot's motion during the sweep was not removed.
     pub not_deskewed: u64,
     /// Number of nodes in the pose graph.
@@ -175,7 +175,7 @@ impl Summary {
 
     /// Copies what a log says about itself, once all is read.
     pub(super) fn count_log(&mut self, log: &Log) {
-        self.left_out = log.left_out().into();
+        self.left_out = log.left_out();
         self.gaps = log.gaps();
         self.damage = log.damage().map(str::to_owned);
     }
@@ -216,39 +216,6 @@ fn agreement_text(agreement: &OdometryAgreement) -> String {
         text(distance_ratio, 2),
         text(direction_rad, 3)
     )
-}
-
-/// Numbers of scans of a recording that are left out, and of times when its clock was set back.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct LeftOutOfLog {
-    /// Scans with more beams than [`msg::BEAMS_MAX`].
-    pub too_many_beams: u64,
-    /// Scans without odometry near them.
-    pub without_odometry: u64,
-    /// Scans of another scanner than most on the topic.
-    pub other_frames: u64,
-    /// Scans with single wrong stamps.
-    pub stray_stamps: u64,
-    /// Messages and transforms that are more than is kept of a bag.
-    pub over_limit: u64,
-    /// Times when the stamps went back by more than a second.
-    pub clock_steps: u64,
-}
-
-impl From<LeftOut> for LeftOutOfLog {
-    fn from(left_out: LeftOut) -> Self {
-        // Malformed messages are counted with malformed lines.
-        let LeftOut {
-            malformed: _,
-            too_many_beams,
-            without_odometry,
-            other_frames,
-            stray_stamps,
-            over_limit,
-            clock_steps,
-        } = left_out;
-        Self { too_many_beams, without_odometry, other_frames, stray_stamps, over_limit, clock_steps }
-    }
 }
 
 /// Percentiles of durations, milliseconds.

@@ -102,9 +102,8 @@ impl Recorder {
         self.file.at = self.epoch.stamp(odometry.header.sent);
         let incarnation = odometry.header.incarnation;
         if let Some(newest) = self.senders.get_mut(robot.index())
-            && newest.odometry != Some(incarnation)
+            && newest.odometry.replace(incarnation) != Some(incarnation)
         {
-            newest.odometry = Some(incarnation);
             let text = incarnation.to_string();
             self.file.record(OwnTopic::OdometryIncarnation, robot.index(), |to| to.string(&text));
         }

@@ -12,9 +12,8 @@ impl Recorder {
     pub fn record_command(&mut self, robot: RobotId, command: &VelocityCommand) {
         self.file.at = self.epoch.stamp(command.header.sent);
         if let Some(newest) = self.senders.get_mut(robot.index())
-            && newest.velocity != Some(command.sender)
+            && newest.velocity.replace(command.sender) != Some(command.sender)
         {
-            newest.velocity = Some(command.sender);
             let sender = command.sender.to_string();
             self.file.record(OwnTopic::CommandSender, robot.index(), |to| to.string(&sender));
         }
