@@ -2,9 +2,9 @@
 
 // What processes run on is a crate of its own.
 pub use runtime::{
-    channel, child_messages, child_process, clock, emergency_stop_file, event_loop, keys, lossy_path,
-    other_fleets, ports, processes, progress, realtime, recording_files, restarts, runtime_folder,
-    shared_memory, spare_time, stop, storage, time_slice, watchdog,
+    channel, child_messages, child_process, clock, emergency_stop_file, event_loop, job_thread, keys,
+    lossy_path, other_fleets, ports, processes, progress, realtime, recording_files, restarts,
+    runtime_folder, shared_memory, spare_time, stop, storage, time_slice, watchdog,
 };
 
 // The configuration is a crate of its own too.

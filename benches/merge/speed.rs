@@ -3,10 +3,8 @@
 use super::pairs::cpu_s;
 use super::table::{Row, Table};
 use merge::{MergeConfig, Merger};
-use msg::{
-    Grid, GridHeader, MapHeader, MapTransform, MapTransforms, Monotonic, Pose2, RobotId, Stamp, TileMap,
-};
-use telemetry::Telemetry;
+use msg::{Grid, GridHeader, MapHeader, MapTransform, MapTransforms, Pose2, RobotId, TileMap};
+use telemetry::MapMetrics;
 
 /// Rounds of each case; the table has the fastest and the median.
 const ROUNDS: usize = 15;
@@ -159,21 +157,21 @@ fn scribble(map: &mut Grid, size: u32, round: usize) {
 
 /// Sends three maps and computes their statistics.
 fn statistics(side: u32) -> [f64; 2] {
-    let mut telemetry = Telemetry::new(3, None, &[]);
+    let mut metrics = MapMetrics::new(3, None, &[]);
     let mut map_transforms = MapTransforms::default();
     for (k, map_transform) in map_transforms.robots.iter_mut().take(3).enumerate() {
         *map_transform =
             MapTransform { map_from_robot_map: Pose2::new(0.0, 0.0, 0.2 * k as f64), known: 1, reserved: 0 };
     }
-    telemetry.update_map_transforms(&map_transforms);
+    metrics.update_map_transforms(&map_transforms);
     let maps: Vec<Grid> = (0..3).map(|k| rooms(side, k)).collect();
     let mut milliseconds: Vec<f64> = (0..ROUNDS)
         .map(|_| {
             let began_s = cpu_s();
             for (robot, map) in RobotId::first(3).zip(&maps) {
-                telemetry.add_map(robot, map.view(), Monotonic(0));
+                metrics.update_map(robot, map.view());
             }
-            assert_eq!(telemetry.compute_stats(Stamp(0), Monotonic(0)).pair_count, 3);
+            assert_eq!(metrics.compute().pair_count(), 3);
             1e3 * (cpu_s() - began_s)
         })
         .collect();

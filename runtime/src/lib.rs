@@ -22,6 +22,7 @@ pub mod child_process;
 pub mod emergency_stop_file;
 mod file_lock;
 mod held_signals;
+pub mod job_thread;
 pub mod keys;
 pub mod lossy_path;
 pub mod other_fleets;

@@ -6,10 +6,10 @@ use super::replay::RecordedRobot;
 use super::room_plan::cached_room_plan;
 use super::tcp::{BridgeServer, Port};
 use crate::channel::Opener;
+use crate::job_thread::ImmediateJobs;
 use crate::ports::Clock;
 use crate::process::bridge::BridgeProcess;
 use crate::process::control::files::ImmediateFiles;
-use crate::process::file_thread::ImmediateJobs;
 use crate::process::graph_worker::GraphWorker;
 use crate::process::merge::{self, MergeProcess};
 use crate::process::nav::NavigationProcess;
@@ -18,6 +18,7 @@ use crate::process::sim::SimulatorProcess;
 use crate::process::slam::files::SlamFileJob;
 use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
 use crate::process::telemetry::TelemetryProcess;
+use crate::process::telemetry::map_worker::MapWorker;
 use crate::process::{Error, ProcessLoop};
 use crate::processes::ProcessRow;
 use crate::restarts::{RestartPolicy, State};
@@ -83,7 +84,7 @@ enum Body {
     Recorded(RecordedRobot<MemoryPorts>),
     Slam(Box<SlamBody>),
     Merge(Box<(MergeProcess<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
-    Telemetry(Box<TelemetryProcess<MemoryPorts>>),
+    Telemetry(Box<TelemetryProcess<MemoryPorts, ImmediateJobs<MapWorker>>>),
     Bridge(Box<BridgeServer<MemoryStorage>>),
     Nav(Box<NavigationProcess<MemoryPorts, ImmediateJobs<NavigationFile<MemoryStorage>>>>),
 }
@@ -254,8 +255,8 @@ impl Body {
                 Self::Merge(Box::new((process, GraphWorker::open(&ports[1], run, state)?)))
             }
             Role::Telemetry => {
-                let plan = cached_room_plan(&run.config)?;
-                Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run, plan)?))
+                let worker = ImmediateJobs(MapWorker::new(run, cached_room_plan(&run.config)?)?);
+                Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run, worker)?))
             }
             Role::Nav => {
                 let storage = world.storage.clone();

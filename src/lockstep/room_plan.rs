@@ -2,7 +2,7 @@
 
 use crate::config::{FleetConfig, RobotSource};
 use crate::fleet::FleetError;
-use crate::process::telemetry::room_plan;
+use crate::process::telemetry::map_worker::room_plan;
 use msg::Grid;
 use std::collections::VecDeque;
 use std::fs;

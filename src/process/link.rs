@@ -19,8 +19,8 @@ pub use stop::{BASE_STATE_PERIOD, ROBOT_STATE_PERIOD, RunStop, StopControl};
 
 use crate::channel::{Opener, Program};
 use crate::clock::now;
+use crate::job_thread::{JobThread, JobWorker as _};
 use crate::ports::ChannelError;
-use crate::process::file_thread::{JobThread, JobWorker as _};
 use crate::process::{Listens, ProcessLoop};
 use crate::progress::ProgressCounter;
 use crate::run::Run;

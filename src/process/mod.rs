@@ -6,7 +6,6 @@
 pub mod bridge;
 pub mod control;
 mod external;
-pub mod file_thread;
 pub mod graph_worker;
 pub mod heartbeat;
 pub mod link;

@@ -11,12 +11,12 @@ mod outputs;
 pub mod state_file;
 mod zones;
 
-use super::file_thread::{JobThread, JobWorker};
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::scan_demand::ScanDemandSender;
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::clock::Epoch;
+use crate::job_thread::{JobThread, JobWorker};
 use crate::ports::{Clock as _, Ports};
 use crate::progress::WatchedThread;
 use crate::realtime::lower_priority;

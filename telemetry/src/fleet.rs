@@ -1,27 +1,25 @@
 //! Statistics of the fleet, once a second.
 
-use crate::merged::MergedMap;
-use crate::pairs::{PairComparisons, PlacedMap};
+use crate::map_metrics::{MapFigures, known_transform, world_from_map};
 use crate::processes::ProcessTable;
 use crate::robot::RobotTelemetry;
-use crate::truth::ObservableArea;
 use msg::{
-    FleetStats, Grid, GridView, GroundTruth, Header, MapTransforms, Monotonic, Pose2, PoseEstimate,
-    ProcessHealth, ROBOTS_MAX, RobotId, RobotStats, Role, Stamp, Transforms,
+    FleetStats, GroundTruth, Header, MapTransforms, Monotonic, Pose2, PoseEstimate, ProcessHealth,
+    ROBOTS_MAX, RobotId, RobotStats, Role, Stamp, Transforms,
 };
 
 /// Collects what the processes of a fleet send, and computes the fleet's statistics from it.
 ///
 /// `received` is the time at which a message reached telemetry. Messages about a robot that the fleet does not have are
-/// ignored. Transforms and pose estimates cost a few operations and no allocation. Maps are copied when they come and
-/// compared in [`Telemetry::compute_stats`].
+/// ignored. Each message costs a few operations and no allocation. What is computed from the cells of maps comes from
+/// [`crate::MapMetrics`] when it is ready, by [`Telemetry::set_map_figures`].
 ///
 /// ```
 /// use msg::{PoseEstimate, Header, Monotonic, RobotId, Stamp};
 /// use telemetry::Telemetry;
 ///
 /// // SLAM answers ten scans a second, each 12 ms after it was sent.
-/// let mut telemetry = Telemetry::new(1, None, &[]);
+/// let mut telemetry = Telemetry::new(1, &[]);
 /// let robot = RobotId::new(1).unwrap();
 /// for n in 0..50_u64 {
 ///     let header = Header { stamp: Stamp(n as i64 * 100_000_000), seq: n, incarnation: 1, ..Default::default() };
@@ -36,12 +34,10 @@ use msg::{
 /// ```
 pub struct Telemetry {
     robots: Vec<RobotTelemetry>,
-    /// Where the robots start, frame `world`, metres, as far as it is known.
-    starts_m: Vec<[f64; 2]>,
-    room: Option<ObservableArea>,
-    merged: MergedMap,
+    /// Frame `world` from frame `robotK/map`, as far as it is known.
+    world_from_robot_map: Vec<Option<Pose2>>,
     map_transforms: MapTransforms,
-    pairs: PairComparisons,
+    map_figures: MapFigures,
     processes: ProcessTable,
     stats: FleetStats,
 }
@@ -49,32 +45,17 @@ pub struct Telemetry {
 impl Telemetry {
     /// Creates the telemetry of a fleet.
     ///
-    /// `room_plan` is the room's floor plan in frame `world`, if it is known; [`Telemetry::set_room`] sets it later. `world_from_robot_map` is where each
-    /// robot's map lies in truth, by [`RobotId::index`], if that is known.
-    pub fn new(robot_count: usize, room_plan: Option<Grid>, world_from_robot_map: &[Option<Pose2>]) -> Self {
+    /// `world_from_robot_map` is where each robot's map lies in truth, by [`RobotId::index`], if that is known.
+    pub fn new(robot_count: usize, world_from_robot_map: &[Option<Pose2>]) -> Self {
         let truth = |index: usize| world_from_robot_map.get(index).copied().flatten();
-        let robot_count = robot_count.min(ROBOTS_MAX);
-        let mut telemetry = Self {
-            robots: (0..robot_count).map(|index| RobotTelemetry::new(truth(index))).collect(),
-            starts_m: (0..robot_count).filter_map(truth).map(|pose| [pose.x_m, pose.y_m]).collect(),
-            room: None,
-            merged: MergedMap::default(),
+        let world_from_robot_map: Vec<_> = (0..robot_count.min(ROBOTS_MAX)).map(truth).collect();
+        Self {
+            robots: world_from_robot_map.iter().map(|truth| RobotTelemetry::new(*truth)).collect(),
+            processes: ProcessTable::new(world_from_robot_map.len()),
+            world_from_robot_map,
             map_transforms: MapTransforms::default(),
-            pairs: PairComparisons::new(robot_count),
-            processes: ProcessTable::new(robot_count),
+            map_figures: MapFigures::default(),
             stats: FleetStats::default(),
-        };
-        if let Some(plan) = room_plan {
-            telemetry.set_room(plan);
-        }
-        telemetry
-    }
-
-    /// Sets the room's floor plan in frame `world`. Until then coverage and errors against the room are unknown. A malformed
-    /// plan is ignored.
-    pub fn set_room(&mut self, plan: Grid) {
-        if GridView::new(&plan.header, &plan.cells).is_some() {
-            self.room = Some(ObservableArea::new(plan, self.starts_m.iter().copied()));
         }
     }
 
@@ -97,29 +78,16 @@ impl Telemetry {
         }
     }
 
-    /// Records that a robot's map has arrived. Its cells need be given only now and then, by [`Telemetry::update_map`].
+    /// Records that a robot's map has arrived.
     pub fn record_map_arrival(&mut self, robot: RobotId, scan_sent: Monotonic, received: Monotonic) {
         if let Some(robot) = self.robots.get_mut(robot.index()) {
             robot.record_map_arrival(scan_sent, received);
         }
     }
 
-    /// Replaces a robot's map. A malformed one is ignored.
-    pub fn update_map(&mut self, robot: RobotId, map: GridView<'_>) {
-        if let Some(robot) = self.robots.get_mut(robot.index()) {
-            robot.update_map(map);
-        }
-    }
-
-    /// Records a map's arrival and replaces the robot's map.
-    pub fn add_map(&mut self, robot: RobotId, map: GridView<'_>, received: Monotonic) {
-        self.record_map_arrival(robot, map.header.scan_sent, received);
-        self.update_map(robot, map);
-    }
-
-    /// Replaces the merged map. A malformed one is ignored.
-    pub fn update_merged_map(&mut self, map: GridView<'_>, _received: Monotonic) {
-        self.merged.update(map);
+    /// Replaces the metrics of the maps.
+    pub fn set_map_figures(&mut self, map_figures: MapFigures) {
+        self.map_figures = map_figures;
     }
 
     /// Replaces the transforms of the robots' maps in the merged map.
@@ -141,18 +109,16 @@ impl Telemetry {
 
     /// Computes the statistics at `stamp` of the run's clock, which is `now` on the machine's.
     ///
-    /// It compares a bounded number of cells: many large maps take turns.
+    /// The metrics of the maps in it are the newest that were set.
     pub fn compute_stats(&mut self, stamp: Stamp, now: Monotonic) -> &FleetStats {
-        self.compare_pairs();
-        let pairs = self.pairs.means();
-        let (room, world_from_map) = (self.room.as_ref(), self.world_from_map());
-        let accuracy = self.merged.accuracy(room, world_from_map);
+        let MapFigures { robots: map_counts, merged_map, pairs, room_coverage, accuracy } = &self.map_figures;
+        let world_from_map = world_from_map(&self.world_from_robot_map, &self.map_transforms);
         self.stats = FleetStats {
             header: Header { stamp, ..Default::default() },
             robot_count: self.robots.len() as u32,
             pair_count: pairs.count,
-            merged_map: self.merged.counts(),
-            room_coverage: self.merged.room_coverage(room, world_from_map),
+            merged_map: *merged_map,
+            room_coverage: *room_coverage,
             consistency: pairs.mean.agreement,
             consistency_one_cell: pairs.mean.agreement_near,
             occupied_f1: pairs.mean.occupied_f1,
@@ -167,8 +133,8 @@ impl Telemetry {
             processes: self.processes.health(now),
             ..Default::default()
         };
-        for (index, robot) in self.robots.iter().enumerate() {
-            let transform = self.map_transform(index);
+        for (index, (robot, counts)) in self.robots.iter().zip(map_counts).enumerate() {
+            let transform = known_transform(&self.map_transforms, index);
             let truth = robot.world_from_robot_map;
             let [error_m, error_rad] = transform_error(world_from_map, transform, truth);
             self.stats.robots[index] = RobotStats {
@@ -176,37 +142,10 @@ impl Telemetry {
                 map_transform_error_rad: error_rad,
                 is_merged: u32::from(transform.is_some()),
                 map_age_s: age_s(self.map_transforms.pose_estimate_received[index], now),
-                ..robot.stats(now)
+                ..robot.stats(*counts, now)
             };
         }
         &self.stats
-    }
-
-    /// Compares the pairs of maps that have changed, and draws one more wrong transform.
-    fn compare_pairs(&mut self) {
-        let maps = self.robots.iter().enumerate();
-        let maps: Vec<_> = maps
-            .map(|(index, robot)| PlacedMap {
-                grid: &robot.grid,
-                version: robot.version,
-                map_from_robot_map: self.map_transform(index),
-            })
-            .collect();
-        self.pairs.refresh(&maps);
-        self.pairs.draw_null(&maps);
-    }
-
-    /// Frame `map` from frame `robotK/map`, if it is known.
-    fn map_transform(&self, index: usize) -> Option<Pose2> {
-        self.map_transforms.robots[index].known_pose().filter(|pose| pose.is_finite())
-    }
-
-    /// Frame `world` from frame `map`, by the first robot whose map's place is known in both.
-    fn world_from_map(&self) -> Option<Pose2> {
-        self.robots.iter().zip(&self.map_transforms.robots).find_map(|(robot, transform)| {
-            let world_from_robot_map = robot.world_from_robot_map?;
-            Some(world_from_robot_map * transform.known_pose()?.inverse())
-        })
     }
 }
 

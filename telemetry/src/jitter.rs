@@ -12,7 +12,8 @@ const LEFT_OUT: u64 = 20;
 
 /// Jitter of one robot's transforms.
 ///
-/// `receive` is the machine's clock and `stamp` the run's; their unknown offset is the same for
+/// `stamp` is the sender's, and `receive` the time at which telemetry's loop reads the message: the jitter is that of the
+/// sender's time, of shared memory and of the wake-up of the loop. `receive` is the machine's clock and `stamp` the run's; their unknown offset is the same for
 /// all, so it cancels in the difference to the mean. The mean runs since the start of the writer:
 /// a deviation is against the mean so far, which differs from the mean of the whole run by about
 /// jitter / sqrt(n).

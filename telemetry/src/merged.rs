@@ -1,6 +1,6 @@
 //! The merged map, and its comparison with the room where that is known (simulation only).
 
-use crate::robot::count_cells;
+use crate::cell_counts::count_cells;
 use crate::truth::{MapAccuracy, ObservableArea};
 use msg::{Grid, GridView, Pose2, RobotStats};
 

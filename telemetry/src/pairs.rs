@@ -36,6 +36,7 @@ pub(crate) struct PairComparisons {
 }
 
 /// Means over the pairs that overlap.
+#[derive(Clone, Debug)]
 pub(crate) struct PairMeans {
     /// Pairs that overlap.
     pub count: u32,

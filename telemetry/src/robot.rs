@@ -4,8 +4,7 @@ use crate::Histogram;
 use crate::jitter::TransformJitter;
 use crate::scans::ScanCounter;
 use heapless::Deque;
-use msg::grid::{MAP_CELLS_MAX, Occupancy, UNKNOWN, occupancy};
-use msg::{Grid, GridView, GroundTruth, Monotonic, Pose2, PoseEstimate, RobotStats, Stamp, TrackingState};
+use msg::{GroundTruth, Monotonic, Pose2, PoseEstimate, RobotStats, Stamp, TrackingState};
 use std::time::Duration;
 
 /// True poses kept until the pose estimate of that time arrives: more than half a second at 100 Hz.
@@ -59,11 +58,6 @@ pub(crate) struct RobotTelemetry {
     /// When the newest pose estimate came.
     newest_received: Monotonic,
     truths: Deque<(Stamp, Pose2), TRUTHS_MAX>,
-    /// The newest map.
-    pub grid: Grid,
-    /// Counts the maps received.
-    pub version: u64,
-    counts: RobotStats,
     /// Frame `world` from frame `robotK/map`, if it is known.
     pub world_from_robot_map: Option<Pose2>,
 }
@@ -90,19 +84,6 @@ impl RobotTelemetry {
         }
     }
 
-    /// Replaces the map; a malformed one is ignored.
-    pub fn update_map(&mut self, map: GridView<'_>) {
-        let valid = GridView::new(map.header, map.cells).is_some() && map.cells.len() <= MAP_CELLS_MAX;
-        if !valid {
-            return;
-        }
-        self.grid.header = *map.header;
-        self.grid.cells.clear();
-        self.grid.cells.extend_from_slice(map.cells);
-        self.counts = count_cells(map);
-        self.version += 1;
-    }
-
     /// Adds a true pose.
     pub fn add_truth(&mut self, truth: &GroundTruth) {
         if self.truths.is_full() {
@@ -111,8 +92,8 @@ impl RobotTelemetry {
         let _ = self.truths.push_back((truth.header.stamp, truth.world_from_base));
     }
 
-    /// Computes the robot's statistics.
-    pub fn stats(&self, now: Monotonic) -> RobotStats {
+    /// Computes the robot's statistics, with the cell counts of its map.
+    pub fn stats(&self, counts: RobotStats, now: Monotonic) -> RobotStats {
         let pose_estimate = self.newest.unwrap_or_default();
         let is_silent = self.newest.is_some() && now > self.newest_received + SILENT;
         RobotStats {
@@ -127,7 +108,7 @@ impl RobotTelemetry {
             pose_error_m: self.pose_error_m().unwrap_or(f64::NAN),
             nodes: pose_estimate.nodes,
             closures: pose_estimate.closures,
-            ..self.counts
+            ..counts
         }
     }
 
@@ -145,24 +126,5 @@ impl RobotTelemetry {
 fn record_latency(histogram: &mut Histogram, sent: Monotonic, received: Monotonic) {
     if sent != Monotonic::default() && sent <= received {
         histogram.add(received.since(sent));
-    }
-}
-
-/// Counts a map's cells by map_server's thresholds. `coverage` is the known share of its rectangle, as in the MR-SLAM
-/// paper.
-pub(crate) fn count_cells(map: GridView<'_>) -> RobotStats {
-    let free = map.cells.iter().filter(|cell| occupancy(**cell) == Occupancy::Free).count();
-    let occupied = map.cells.iter().filter(|cell| occupancy(**cell) == Occupancy::Occupied).count();
-    let total = map.cells.len();
-    debug_assert_eq!(occupancy(UNKNOWN), Occupancy::Unknown);
-    RobotStats {
-        free_cells: free as u32, // all at most MAP_CELLS_MAX
-        occupied_cells: occupied as u32,
-        unknown_cells: (total - free - occupied) as u32,
-        width: map.header.width,
-        height: map.header.height,
-        resolution_m: map.header.resolution_m,
-        coverage: (free + occupied) as f64 / total.max(1) as f64,
-        ..Default::default()
     }
 }

@@ -166,8 +166,10 @@ fn statistics_published_maps_and_files_count_the_same_cells() {
     let header = GridHeader { width: 32, height: 24, resolution_m: 0.05, ..GridHeader::default() };
     let map = GridView::new(&header, &cells).unwrap();
 
-    let mut telemetry = telemetry::Telemetry::new(1, None, &[]);
-    telemetry.update_merged_map(map, Monotonic(1));
+    let mut metrics = telemetry::MapMetrics::new(1, None, &[]);
+    metrics.update_merged_map(map);
+    let mut telemetry = telemetry::Telemetry::new(1, &[]);
+    telemetry.set_map_figures(metrics.compute());
     let merged = telemetry.compute_stats(Stamp(0), Monotonic(1)).merged_map;
     let counted =
         [merged.unknown_cells, merged.free_cells, merged.occupied_cells].map(|count| count as usize);

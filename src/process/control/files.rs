@@ -2,7 +2,7 @@
 
 use super::permission_files::PermissionFiles;
 use super::saved_state::{BridgeSnapshot, SavedFiles};
-use crate::process::file_thread::{FileJobs, ImmediateJobs, JobThread, JobWorker};
+use crate::job_thread::{ImmediateJobs, JobRunner, JobThread, JobWorker};
 use crate::storage::Storage;
 use std::io;
 use std::net::IpAddr;
@@ -38,7 +38,7 @@ pub struct ControlFiles<S> {
     pub permissions: PermissionFiles<S>,
 }
 
-impl<S: Storage> FileJobs for ControlFiles<S> {
+impl<S: Storage> JobRunner for ControlFiles<S> {
     type Job = FileJob;
     type Report = FileReport;
 

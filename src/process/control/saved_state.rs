@@ -1,7 +1,7 @@
 //! Files in the run's folder that a restarted bridge continues with: selection, drivers, permissions, emergency stop.
 //!
 //! They outlive the process; a power cut ends the run too, so nothing waits until the disk has them. A busy disk delays even
-//! that: live, they are read and written on a thread of their own, see [`crate::process::file_thread`].
+//! that: live, they are read and written on a thread of their own, see [`crate::job_thread`].
 
 use crate::run::Run;
 use crate::storage::Storage;

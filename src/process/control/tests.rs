@@ -2,7 +2,7 @@ use super::files::FileThread;
 use super::*;
 use crate::config::FleetConfig;
 use crate::emergency_stop_file::latch_stop;
-use crate::process::file_thread::JobWorker;
+use crate::job_thread::JobWorker;
 use crate::storage::DiskStorage;
 use ::bridge::BridgeConfig;
 use formats::map_file::MapFileError;

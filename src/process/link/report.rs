@@ -2,8 +2,8 @@
 
 use super::{BaseLink, RobotLink, StopControl};
 use crate::clock::now;
+use crate::job_thread::JobRunner;
 use crate::ports::Ports;
-use crate::process::file_thread::FileJobs;
 use crate::run::{LINK_REPORT, Run};
 use ::link::ByteCounters;
 use link_transport::Transport;
@@ -111,7 +111,7 @@ impl ReportFile {
     }
 }
 
-impl FileJobs for ReportFile {
+impl JobRunner for ReportFile {
     type Job = LinkReport;
     type Report = ();
 

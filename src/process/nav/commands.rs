@@ -2,8 +2,8 @@
 
 use super::NavigationProcess;
 use super::state_file::SavedState;
+use crate::job_thread::JobWorker;
 use crate::ports::{Ports, ReadPort};
-use crate::process::file_thread::JobWorker;
 use msg::{ExplorationCommand, Monotonic, NavigationAction, NavigationCommand, PauseReason};
 
 /// What waits in a channel of commands.

@@ -3,8 +3,8 @@
 use super::NavigationProcess;
 use crate::channel;
 use crate::config::RobotSource;
+use crate::job_thread::JobWorker;
 use crate::ports::{ChannelError, Ports, ReadPort};
-use crate::process::file_thread::JobWorker;
 use crate::process::nav::state_file::SavedState;
 use crate::run::Run;
 use msg::{PauseReason, RobotHold, RobotId};

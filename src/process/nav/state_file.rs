@@ -2,7 +2,7 @@
 //!
 //! The file is in the run's runtime folder, as a rule in memory: a full, slow or read-only disk loses no goal that was cancelled, and no zone.
 
-use crate::process::file_thread::{FileJobs, JobWorker};
+use crate::job_thread::{JobRunner, JobWorker};
 use crate::run::Run;
 use crate::storage::Storage;
 use ::nav::{GoalFrame, GoalPose, NavigationGoal};
@@ -160,7 +160,7 @@ impl<S: Storage> NavigationFile<S> {
     }
 }
 
-impl<S: Storage> FileJobs for NavigationFile<S> {
+impl<S: Storage> JobRunner for NavigationFile<S> {
     type Job = SavedState;
     /// Whether the state was written.
     type Report = bool;

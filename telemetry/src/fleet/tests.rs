@@ -1,8 +1,9 @@
 //! Messages of small fleets, and the statistics that must come of them.
 
 use super::*;
+use crate::MapMetrics;
 use crate::testing::{house, within};
-use msg::{MapTransform, RobotFrame, RobotFrameTransform, Role, TrackingState};
+use msg::{GridView, MapTransform, RobotFrame, RobotFrameTransform, Role, TrackingState};
 
 const MS: u64 = 1_000_000;
 
@@ -22,7 +23,7 @@ fn map_transforms(known: usize) -> MapTransforms {
 
 #[test]
 fn a_state_that_slam_has_not_repeated_is_not_known() {
-    let mut telemetry = Telemetry::new(1, None, &[]);
+    let mut telemetry = Telemetry::new(1, &[]);
     let mut state = |now_s: u64| {
         TrackingState::from_code(
             telemetry.compute_stats(Stamp(0), Monotonic(now_s * 1000 * MS)).robots[0].state,
@@ -44,7 +45,7 @@ fn a_state_that_slam_has_not_repeated_is_not_known() {
 #[test]
 fn the_statistics_of_one_robot_are_those_of_its_messages() {
     let start = Pose2::new(1.0, 0.5, 0.0);
-    let mut telemetry = Telemetry::new(1, None, &[Some(start)]);
+    let mut telemetry = Telemetry::new(1, &[Some(start)]);
     for n in 0..60_u64 {
         let stamp = Stamp((n * 100 * MS) as i64);
         let sent = Monotonic(1 << 40 | (n * 100 * MS));
@@ -68,10 +69,11 @@ fn the_statistics_of_one_robot_are_those_of_its_messages() {
         transforms.transforms[0] =
             RobotFrameTransform { child_frame: RobotFrame::BaseFootprint as u32, ..Default::default() };
         telemetry.add_transforms(robot(1), &transforms, Monotonic(sent.0 + MS));
-        let mut map = house();
-        map.header.scan_sent = sent;
-        telemetry.add_map(robot(1), map.view(), Monotonic(sent.0 + 40 * MS));
+        telemetry.record_map_arrival(robot(1), sent, Monotonic(sent.0 + 40 * MS));
     }
+    let mut metrics = MapMetrics::new(1, None, &[Some(start)]);
+    metrics.update_map(robot(1), house().view());
+    telemetry.set_map_figures(metrics.compute());
     let stats = *telemetry.compute_stats(Stamp(5_950 * MS as i64), Monotonic(0));
     let figures = &stats.robots[0];
     within(figures.scan_hz, 10.0, 1e-9);
@@ -87,11 +89,9 @@ fn the_statistics_of_one_robot_are_those_of_its_messages() {
 
 #[test]
 fn a_map_from_before_a_restart_has_no_latency() {
-    let mut telemetry = Telemetry::new(1, None, &[None]);
-    let mut map = house();
-    let mut arrive = |telemetry: &mut Telemetry, scan_sent: u64, received: u64| {
-        map.header.scan_sent = Monotonic(scan_sent * MS);
-        telemetry.add_map(robot(1), map.view(), Monotonic(received * MS));
+    let mut telemetry = Telemetry::new(1, &[None]);
+    let arrive = |telemetry: &mut Telemetry, scan_sent: u64, received: u64| {
+        telemetry.record_map_arrival(robot(1), Monotonic(scan_sent * MS), Monotonic(received * MS));
     };
     let answer = |telemetry: &mut Telemetry, incarnation: u64, scan_sent: u64| {
         let header = Header { incarnation, ..Default::default() };
@@ -119,27 +119,33 @@ fn a_map_from_before_a_restart_has_no_latency() {
 
 #[test]
 fn maps_are_compared_once_their_transforms_are_known() {
-    let mut telemetry = Telemetry::new(3, Some(house()), &[Some(Pose2::IDENTITY), None]);
+    let mut metrics = MapMetrics::new(3, Some(house()), &[Some(Pose2::IDENTITY), None]);
     for number in 1..=3 {
-        telemetry.add_map(robot(number), house().view(), Monotonic(0));
+        metrics.update_map(robot(number), house().view());
     }
-    telemetry.update_map_transforms(&map_transforms(2));
-    telemetry.update_merged_map(house().view(), Monotonic(0));
+    metrics.update_map_transforms(&map_transforms(2));
+    metrics.update_merged_map(house().view());
+    let mut telemetry = Telemetry::new(3, &[Some(Pose2::IDENTITY), None]);
+    telemetry.set_map_figures(metrics.compute());
     let stats = *telemetry.compute_stats(Stamp(0), Monotonic(0));
     assert_eq!((stats.robot_count, stats.pair_count), (3, 1));
     assert_eq!((stats.consistency, stats.occupied_f1, stats.room_coverage), (1.0, 1.0, 1.0));
-    telemetry.update_map_transforms(&map_transforms(3));
+    metrics.update_map_transforms(&map_transforms(3));
+    telemetry.set_map_figures(metrics.compute());
     assert_eq!(telemetry.compute_stats(Stamp(0), Monotonic(0)).pair_count, 3);
 }
 
 #[test]
 fn unknown_robots_and_malformed_maps_change_nothing() {
-    let mut telemetry = Telemetry::new(1, None, &[]);
+    let mut telemetry = Telemetry::new(1, &[]);
     let empty = *telemetry.compute_stats(Stamp(0), Monotonic(0));
-    telemetry.add_map(robot(2), house().view(), Monotonic(0));
+    let mut metrics = MapMetrics::new(1, None, &[]);
+    metrics.update_map(robot(2), house().view());
     let map = house();
-    telemetry.add_map(robot(1), GridView { header: &map.header, cells: &map.cells[1..] }, Monotonic(0));
-    telemetry.update_merged_map(GridView { header: &map.header, cells: &[] }, Monotonic(0));
+    metrics.update_map(robot(1), GridView { header: &map.header, cells: &map.cells[1..] });
+    metrics.update_merged_map(GridView { header: &map.header, cells: &[] });
+    telemetry.set_map_figures(metrics.compute());
+    telemetry.record_map_arrival(robot(2), Monotonic(0), Monotonic(0));
     telemetry.add_pose_estimate(robot(9), &PoseEstimate::default(), Monotonic(0));
     telemetry.add_process_health(
         &ProcessHealth { role: Role::Sim as u32, robot: 5, ..Default::default() },

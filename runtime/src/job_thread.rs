@@ -1,19 +1,23 @@
-//! A thread that reads and writes files beside the loop of a process.
+//! A thread that does the long jobs of a process beside its loop, such as those on files.
 //!
 //! A disk may not answer for seconds while others write much. A loop that sends velocities must not wait for it.
 
-use crate::time_slice;
+use crate::{realtime, time_slice};
 use std::io;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use tokio::sync::oneshot;
 
-/// Most jobs that wait for the disk; further ones are refused.
+/// Most jobs that wait for the thread; further ones are refused.
 const JOBS_MAX: usize = 8;
 
-/// Files, with what is done to them.
-pub trait FileJobs: 'static {
-    /// Something to be done with the files.
+/// Does jobs of one kind, and keeps what they need from one to the next.
+pub trait JobRunner: 'static {
+    /// Name of the thread that does the jobs.
+    const THREAD: &'static str = "files";
+    /// Niceness of that thread (nice(2)): 0 is the priority of its process.
+    const NICENESS: i32 = 0;
+    /// Something to be done.
     type Job: Send + 'static;
     /// What came of a job.
     type Report: Send + 'static;
@@ -28,11 +32,11 @@ pub trait JobWorker<J, R> {
     fn submit(&mut self, job: J) -> oneshot::Receiver<R>;
 }
 
-/// Does a job at once: for lockstep, where the disk is in memory.
-pub struct ImmediateJobs<F>(pub F);
+/// Does a job at once: for lockstep, where the disk is in memory and a computation takes no time.
+pub struct ImmediateJobs<R>(pub R);
 
-impl<F: FileJobs> JobWorker<F::Job, F::Report> for ImmediateJobs<F> {
-    fn submit(&mut self, job: F::Job) -> oneshot::Receiver<F::Report> {
+impl<R: JobRunner> JobWorker<R::Job, R::Report> for ImmediateJobs<R> {
+    fn submit(&mut self, job: R::Job) -> oneshot::Receiver<R::Report> {
         let (sender, receiver) = oneshot::channel();
         // The receiver is still here.
         let _ = sender.send(self.0.run(&job));
@@ -49,13 +53,19 @@ pub struct JobThread<J, R> {
 
 impl<J: Send + 'static, R: Send + 'static> JobThread<J, R> {
     /// Starts the thread.
-    pub fn start<F: FileJobs<Job = J, Report = R> + Send>(mut files: F) -> io::Result<Self> {
+    ///
+    /// # Errors
+    /// The system has no memory for a thread.
+    pub fn start<W: JobRunner<Job = J, Report = R> + Send>(mut runner: W) -> io::Result<Self> {
         let (sender, jobs) = sync_channel::<(J, oneshot::Sender<R>)>(JOBS_MAX);
-        let thread = std::thread::Builder::new().name("files".into()).spawn(move || {
+        let thread = std::thread::Builder::new().name(W::THREAD.into()).spawn(move || {
             time_slice::request_default();
+            if W::NICENESS != 0 {
+                realtime::lower_priority(W::NICENESS);
+            }
             for (job, report) in jobs {
                 // The sender of the job may have gone.
-                let _ = report.send(files.run(&job));
+                let _ = report.send(runner.run(&job));
             }
         })?;
         Ok(Self { jobs: Some(sender), thread: Some(thread) })
