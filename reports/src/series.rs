@@ -35,7 +35,7 @@ impl RobotSeries {
     }
 }
 
-/// How long a robot was driven, by the samples of a run, and what it was told.
+/// How long a robot was driven, by the figures of each second, and what it was told.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DrivenTime {
     /// Time in which it was told to move, seconds.
@@ -78,8 +78,8 @@ pub fn add_teleoperation(page: &mut Page, series: &Series) {
     let heads = ["teleoperation", "driven, s", "share, %", "mean speed, m/s", "mean turning rate, rad/s"];
     page.table(&heads, &series.robots.iter().zip(&profile.robots).map(row).collect::<Vec<_>>());
     page.paragraph(&format!(
-        "{} switches between robots. From samples of the velocities that the robots were told, once a second: shorter \
-         moves are missed.",
+        "{} switches between robots. From the velocities that the robots were told, read once a second over the whole run: \
+         shorter moves are missed.",
         profile.switches
     ));
 }
@@ -99,6 +99,14 @@ pub struct Series {
     pub consistency: Vec<Option<f64>>,
     #[serde(skip)]
     begun_s: Option<f64>,
+    /// How the operator's time was spent, by the figures of each second: also of those that are no samples any more.
+    #[serde(skip)]
+    teleoperation: TeleoperationProfile,
+    /// Time of the newest figures, and the robot that was driven last, by its index.
+    #[serde(skip)]
+    newest_s: Option<f64>,
+    #[serde(skip)]
+    driven_last: Option<usize>,
     /// One of this many samples is kept.
     #[serde(skip)]
     stride: usize,
@@ -114,6 +122,12 @@ fn known_m2(map: &MapView) -> Option<f64> {
 impl Series {
     /// Adds the figures of a second. `commands` are the robots' newest velocities, and `age_s` of each in seconds.
     pub fn add(&mut self, fleet: &FleetView, commands: impl Fn(usize) -> Option<(VelocityCommand, f64)>) {
+        let told = |index| {
+            let command = commands(index).filter(|(_, age_s)| *age_s < COMMAND_AGE_MAX_S);
+            command.map_or([0.0, 0.0], |(command, _)| [command.linear_m_s, command.angular_rad_s])
+        };
+        let told: Vec<[f64; 2]> = (0..fleet.robots.len()).map(told).collect();
+        self.count_teleoperation(fleet.time_s, &told);
         self.stride = self.stride.max(1);
         self.seen += 1;
         if !(self.seen - 1).is_multiple_of(self.stride) {
@@ -125,10 +139,7 @@ impl Series {
         self.merged_m2.push(known_m2(&fleet.merged_map));
         self.room_coverage.push(fleet.room_coverage);
         self.consistency.push(fleet.consistency);
-        for (index, (series, robot)) in self.robots.iter_mut().zip(&fleet.robots).enumerate() {
-            let command = commands(index).filter(|(_, age_s)| *age_s < COMMAND_AGE_MAX_S);
-            let (linear, angular) =
-                command.map_or((0.0, 0.0), |(command, _)| (command.linear_m_s, command.angular_rad_s));
+        for ((series, robot), [linear, angular]) in self.robots.iter_mut().zip(&fleet.robots).zip(told) {
             series.robot.clone_from(&robot.robot);
             series.known_m2.push(known_m2(&robot.map).unwrap_or(0.0));
             series.scan_hz.push(robot.scan_hz_last_second);
@@ -152,27 +163,29 @@ impl Series {
     }
 
     /// Returns how the operator's time was spent.
-    pub fn teleoperation(&self) -> TeleoperationProfile {
-        let mut profile =
-            TeleoperationProfile { robots: vec![DrivenTime::default(); self.robots.len()], switches: 0 };
-        let mut last = None;
-        for sample in 1..self.time_s.len() {
-            let lasted_s = self.time_s[sample] - self.time_s[sample - 1];
-            for (robot, driven) in self.robots.iter().zip(&mut profile.robots) {
-                if robot.is_driven(sample) {
-                    driven.driven_s += lasted_s;
-                    driven.distance_m += robot.linear_m_s[sample].abs() * lasted_s;
-                    driven.turned_rad += robot.angular_rad_s[sample].abs() * lasted_s;
-                }
-            }
-            let mut now = (0..self.robots.len()).filter(|robot| self.robots[*robot].is_driven(sample));
-            // Several that are driven at once are no switch between them.
-            if let (Some(robot), None) = (now.next(), now.next()) {
-                profile.switches += u64::from(last.is_some_and(|last| last != robot));
-                last = Some(robot);
-            }
+    pub fn teleoperation(&self) -> &TeleoperationProfile {
+        &self.teleoperation
+    }
+
+    /// Counts what the robots are `told`, in m/s and rad/s, for the time since the figures before.
+    fn count_teleoperation(&mut self, time_s: f64, told: &[[f64; 2]]) {
+        let profile = &mut self.teleoperation;
+        profile.robots.resize(told.len(), DrivenTime::default());
+        // What was told before the first figures is not known.
+        let Some(before_s) = self.newest_s.replace(time_s) else { return };
+        let lasted_s = (time_s - before_s).max(0.0);
+        let is_driven = |[linear, angular]: &[f64; 2]| *linear != 0.0 || *angular != 0.0;
+        for (driven, told) in profile.robots.iter_mut().zip(told).filter(|(_, told)| is_driven(told)) {
+            driven.driven_s += lasted_s;
+            driven.distance_m += told[0].abs() * lasted_s;
+            driven.turned_rad += told[1].abs() * lasted_s;
         }
-        profile
+        let mut now = (0..told.len()).filter(|robot| is_driven(&told[*robot]));
+        // Several that are driven at once are no switch between them.
+        if let (Some(robot), None) = (now.next(), now.next()) {
+            profile.switches += u64::from(self.driven_last.is_some_and(|last| last != robot));
+            self.driven_last = Some(robot);
+        }
     }
 
     /// Sets where the robots' maps lie in the merged map.
@@ -237,6 +250,40 @@ mod tests {
         let mut page = Page::part();
         add_teleoperation(&mut page, &Series::default());
         assert!(page.into_part().contains("no data"));
+    }
+
+    /// A run of any length counts each second in which somebody drives, and each switch, though samples are thinned.
+    #[test]
+    fn teleoperation_is_counted_over_all_seconds_of_a_long_run() {
+        for case in 0..16 {
+            // Turns of one to three seconds, of nobody or a robot.
+            let turns = (0..8).map(|turn| ((turn * 7 + case) % 3, 1 + (turn * 5 + case) % 3));
+            let pattern: Vec<usize> = turns.flat_map(|(robot, s)| std::iter::repeat_n(robot, s)).collect();
+            let seconds = 3_000 + 397 * case;
+            let driven: Vec<usize> = pattern.iter().copied().cycle().take(seconds).collect();
+            let mut stats: Box<FleetStats> = bytemuck::allocation::zeroed_box();
+            stats.robot_count = 2;
+            let mut series = Series::default();
+            for (second, driven) in driven.iter().enumerate() {
+                stats.header.stamp = Stamp::from_seconds(second as f64);
+                series.add(&FleetView::new(&stats), |robot| {
+                    let linear_m_s = if *driven == robot + 1 { 0.2 } else { 0.0 };
+                    Some((VelocityCommand { linear_m_s, ..VelocityCommand::default() }, 0.0))
+                });
+            }
+            assert!(series.time_s.len() < SAMPLES_MAX);
+            let profile = series.teleoperation();
+            for (robot, of) in profile.robots.iter().enumerate() {
+                // The first figures only begin the time.
+                let expected = driven[1..].iter().filter(|driven| **driven == robot + 1).count() as f64;
+                assert!((of.driven_s - expected).abs() < 1e-6, "{} for {expected}", of.driven_s);
+                assert!((of.distance_m - 0.2 * expected).abs() < 1e-6);
+            }
+            let mut of_robots: Vec<usize> =
+                driven[1..].iter().copied().filter(|driven| *driven > 0).collect();
+            of_robots.dedup();
+            assert_eq!(profile.switches, of_robots.len().saturating_sub(1) as u64);
+        }
     }
 
     #[test]
