@@ -2,7 +2,7 @@
 
 use crate::fleet::{Cpu, Fleet};
 use crate::measure::Spread;
-use reports::FleetView;
+use reports::{FleetView, RobotView};
 use serde::Serialize;
 use std::error::Error;
 use std::fmt;
@@ -76,7 +76,10 @@ impl Row {
 /// Returns the number of scans that SLAM missed between two views of a fleet.
 pub fn missed_scans(before: &FleetView, after: &FleetView) -> u64 {
     let pairs = before.robots.iter().zip(&after.robots);
-    pairs.map(|(then, now)| now.scans_lost.saturating_sub(then.scans_lost)).sum()
+    let lost = |(then, now): (&RobotView, &RobotView)| {
+        now.scans_lost.unwrap_or(0).saturating_sub(then.scans_lost.unwrap_or(0))
+    };
+    pairs.map(lost).sum()
 }
 
 impl fmt::Display for Row {

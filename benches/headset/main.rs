@@ -105,7 +105,7 @@ fn measure(link: Link, length: Duration) -> Result<Row, Box<dyn Error>> {
     let worst = |of: fn(&RobotView) -> f32| f64::from(after.robots.iter().map(of).fold(0.0, f32::max));
     Ok(Row {
         scan_hz: hz.fold(f64::INFINITY, f64::min),
-        lost: pairs().map(|(then, now)| now.scans_lost - then.scans_lost).sum(),
+        lost: pairs().map(|(then, now)| now.scans_lost.unwrap_or(0) - then.scans_lost.unwrap_or(0)).sum(),
         jitter_ms: [
             worst(|robot| robot.tf_jitter_ms.p50.unwrap_or(f32::INFINITY)),
             worst(|robot| robot.tf_jitter_ms.p95.unwrap_or(f32::INFINITY)),

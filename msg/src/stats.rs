@@ -46,15 +46,17 @@ pub struct RobotStats {
     pub coverage: f64,
     /// Scans that reached SLAM in the last second of the run's clock, Hz.
     pub scan_hz: f64,
-    /// Number of scans received since the start.
+    /// Number of scans received since telemetry was started.
     pub scans: u64,
-    /// Number of scans lost since the start.
+    /// Number of scans lost since telemetry was started; see `scans_lost_unknown`.
     pub scans_lost: u64,
-    /// TF jitter since the start, milliseconds: |(receive - stamp) - its mean|, per link, pooled.
+    /// TF jitter since telemetry was started, milliseconds: |(receive - stamp) - its mean|, per link, pooled.
     pub tf_jitter_ms: Distribution,
-    /// Latency from the simulator sending a scan to its pose estimate, milliseconds, since the start.
+    /// Latency from the simulator sending a scan to its pose estimate, milliseconds, since telemetry
+    /// was started.
     pub scan_to_pose_ms: Distribution,
-    /// Latency from the simulator sending a scan to the map that contains it, milliseconds, since the start.
+    /// Latency from the simulator sending a scan to the map that contains it, milliseconds, since telemetry
+    /// was started.
     pub scan_to_map_ms: Distribution,
     /// Newest pose of `base_footprint` in `robotK/map`.
     pub map_from_base: Pose2,
@@ -72,8 +74,8 @@ pub struct RobotStats {
     pub closures: u32,
     /// 1 if the robot's map is part of the merged map, 0 if its transform is unknown.
     pub is_merged: u32,
-    /// Padding, always zero.
-    pub reserved: u32,
+    /// 1 if `scans_lost` says nothing: SLAM is on another machine, and not each of its poses comes from there.
+    pub scans_lost_unknown: u32,
     /// Age of the robot's part of the merged map: time since merging last received an answer of its SLAM to a scan,
     /// seconds. NaN before the first.
     pub map_age_s: f64,
@@ -135,6 +137,8 @@ pub struct FleetStats {
     pub room_to_map_m: f64,
     /// Mean thickness of the merged map's walls, metres.
     pub wall_thickness_m: f64,
+    /// Time over which the robots' counts and distributions are counted, seconds: since telemetry was started last.
+    pub counted_s: f64,
     /// Health of the processes in the launcher's order; unused entries have `health.role` 0.
     pub processes: [ProcessStats; PROCESSES_MAX],
 }

@@ -30,13 +30,14 @@ impl ScanRates {
                 newest_s: fleet.time_s,
                 newest: robot.scans,
                 total: 0,
-                lost: robot.scans_lost,
+                lost: robot.scans_lost.unwrap_or(0),
                 lost_before: 0,
             });
-            if robot.scans_lost < scans.lost {
+            let lost = robot.scans_lost.unwrap_or(0);
+            if lost < scans.lost {
                 scans.lost_before += scans.lost;
             }
-            scans.lost = robot.scans_lost;
+            scans.lost = lost;
             scans.total += robot.scans.checked_sub(scans.newest).unwrap_or(robot.scans);
             (scans.newest, scans.newest_s) = (robot.scans, fleet.time_s);
         }
@@ -45,7 +46,8 @@ impl ScanRates {
     /// Fills in each robot's mean rate, Hz, and all its lost scans. The rate stays unknown until there are two statistics.
     pub fn fill(&self, fleet: &mut FleetView) {
         for (scans, robot) in self.0.iter().zip(&mut fleet.robots) {
-            robot.scans_lost += scans.map_or(0, |scans| scans.lost_before);
+            let lost_before = scans.map_or(0, |scans| scans.lost_before);
+            robot.scans_lost = robot.scans_lost.map(|lost| lost + lost_before);
             robot.scan_hz = scans.and_then(|scans| {
                 let span_s = scans.newest_s - scans.first_s;
                 (span_s > 0.0).then(|| scans.total as f64 / span_s)
@@ -89,11 +91,14 @@ mod tests {
         let mut fleet = view(0.0, 0);
         for (seconds, lost) in [(1.0, 3), (2.0, 5), (3.0, 0), (4.0, 1)] {
             fleet = view(seconds, 10);
-            fleet.robots[0].scans_lost = lost;
+            fleet.robots[0].scans_lost = Some(lost);
             rates.add(&fleet);
         }
         rates.fill(&mut fleet);
-        assert_eq!(fleet.robots[0].scans_lost, 6);
+        assert_eq!(fleet.robots[0].scans_lost, Some(6));
+        fleet.robots[0].scans_lost = None;
+        rates.fill(&mut fleet);
+        assert_eq!(fleet.robots[0].scans_lost, None, "what is not known is not 0");
     }
 
     #[test]

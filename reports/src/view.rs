@@ -24,6 +24,8 @@ use serde::Serialize;
 pub struct FleetView {
     /// Time of the run: seconds since its start, or since 1970 if the world is not simulated here.
     pub time_s: f64,
+    /// Time over which scans, lost scans, jitter and latencies are counted, seconds: since telemetry was started last.
+    pub counted_s: f64,
     /// Figures of each robot, robot1 first.
     pub robots: Vec<RobotView>,
     /// Figures of the merged map.
@@ -77,10 +79,11 @@ pub struct RobotView {
     pub scan_hz: Option<f64>,
     /// Scans that SLAM received in the last second, Hz.
     pub scan_hz_last_second: f64,
-    /// Scans that SLAM received since its start.
+    /// Scans that SLAM received in the time that is counted.
     pub scans: u64,
-    /// Scans that were sent and not received since the start.
-    pub scans_lost: u64,
+    /// Scans that were sent and not received in the time that is counted, in a report over the whole run; `None`: not known, as
+    /// SLAM is on another machine.
+    pub scans_lost: Option<u64>,
     /// Figures of the robot's own map.
     pub map: MapView,
     /// TF jitter: |(receive - stamp) - its mean|, pooled over the robot's transforms, milliseconds.
@@ -232,6 +235,7 @@ impl FleetView {
         let of_pairs = |value: f64| (pairs && value.is_finite()).then_some(value);
         Self {
             time_s: stats.header.stamp.seconds(),
+            counted_s: stats.counted_s,
             robots: RobotId::first(count)
                 .map(|robot| RobotView::new(robot, &stats.robots[robot.index()]))
                 .collect(),
@@ -315,7 +319,7 @@ impl RobotView {
             scan_hz: None,
             scan_hz_last_second: stats.scan_hz,
             scans: stats.scans,
-            scans_lost: stats.scans_lost,
+            scans_lost: (stats.scans_lost_unknown == 0).then_some(stats.scans_lost),
             map: MapView::new(stats),
             tf_jitter_ms: DistributionView::new(&stats.tf_jitter_ms),
             scan_to_pose_ms: DistributionView::new(&stats.scan_to_pose_ms),

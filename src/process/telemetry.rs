@@ -11,6 +11,7 @@ use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::clock::now;
+use crate::config::RobotSource;
 use crate::fleet;
 use crate::job_thread::{JobThread, JobWorker};
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
@@ -57,8 +58,12 @@ impl<P: Ports, W: JobWorker<MapChanges, MapFigures>> TelemetryProcess<P, W> {
         let heartbeat = Heartbeat::new(ports, run, Role::Telemetry, None)?;
         let starts = fleet::starts_in_room(&run.config)?;
         let clock = ports.clock();
+        let mut telemetry = Telemetry::new(run.config.fleet.robots, &starts, clock.now());
+        if run.config.world == RobotSource::Robots {
+            telemetry.set_lost_scans_unknown();
+        }
         Ok(Self {
-            telemetry: Telemetry::new(run.config.fleet.robots, &starts),
+            telemetry,
             maps: MapHandover::new(map_worker),
             inputs: Inputs::open(ports, run)?,
             stats: ports.writer(&channel::stats())?,

@@ -19,7 +19,7 @@ use msg::{
 /// use telemetry::Telemetry;
 ///
 /// // SLAM answers ten scans a second, each 12 ms after it was sent.
-/// let mut telemetry = Telemetry::new(1, &[]);
+/// let mut telemetry = Telemetry::new(1, &[], Monotonic(1_000_000_000));
 /// let robot = RobotId::new(1).unwrap();
 /// for n in 0..50_u64 {
 ///     let header = Header { stamp: Stamp(n as i64 * 100_000_000), seq: n, incarnation: 1, ..Default::default() };
@@ -39,14 +39,17 @@ pub struct Telemetry {
     map_transforms: MapTransforms,
     map_figures: MapFigures,
     processes: ProcessTable,
+    /// When counting began.
+    begun: Monotonic,
+    are_lost_scans_known: bool,
     stats: FleetStats,
 }
 
 impl Telemetry {
-    /// Creates the telemetry of a fleet.
+    /// Creates the telemetry of a fleet, which counts from `begun` on.
     ///
     /// `world_from_robot_map` is where each robot's map lies in truth, by [`RobotId::index`], if that is known.
-    pub fn new(robot_count: usize, world_from_robot_map: &[Option<Pose2>]) -> Self {
+    pub fn new(robot_count: usize, world_from_robot_map: &[Option<Pose2>], begun: Monotonic) -> Self {
         let truth = |index: usize| world_from_robot_map.get(index).copied().flatten();
         let world_from_robot_map: Vec<_> = (0..robot_count.min(ROBOTS_MAX)).map(truth).collect();
         Self {
@@ -55,8 +58,15 @@ impl Telemetry {
             world_from_robot_map,
             map_transforms: MapTransforms::default(),
             map_figures: MapFigures::default(),
+            begun,
+            are_lost_scans_known: true,
             stats: FleetStats::default(),
         }
+    }
+
+    /// Says that pose estimates come from other machines, and not one for each scan: lost scans cannot be told by them.
+    pub fn set_lost_scans_unknown(&mut self) {
+        self.are_lost_scans_known = false;
     }
 
     /// Names a process of the fleet, which is listed also if it never reports.
@@ -130,6 +140,7 @@ impl Telemetry {
             map_to_room_m: accuracy.map_to_room_m,
             room_to_map_m: accuracy.room_to_map_m,
             wall_thickness_m: accuracy.wall_thickness_m,
+            counted_s: now.since(self.begun) as f64 * 1e-9,
             processes: self.processes.health(now),
             ..Default::default()
         };
@@ -141,6 +152,7 @@ impl Telemetry {
                 map_transform_error_m: error_m,
                 map_transform_error_rad: error_rad,
                 is_merged: u32::from(transform.is_some()),
+                scans_lost_unknown: u32::from(!self.are_lost_scans_known),
                 map_age_s: age_s(self.map_transforms.pose_estimate_received[index], now),
                 ..robot.stats(*counts, now)
             };

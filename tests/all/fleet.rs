@@ -17,7 +17,7 @@ fn a_fleet_maps_and_leaves_no_process_or_shared_memory() {
             && view.processes.len() == 8
     });
     for robot in &view.robots {
-        assert_eq!(robot.scans_lost, 0, "{robot:?}");
+        assert_eq!(robot.scans_lost, Some(0), "{robot:?}");
         assert_eq!(robot.state, "tracking", "{robot:?}");
         assert!(robot.pose_error_m.is_some_and(|error| error < 0.05), "a robot at rest: {robot:?}");
     }
@@ -52,7 +52,7 @@ fn an_operator_drives_a_fleet_over_tcp() {
     let view = fleet.until("a robot half a metre away", |view| {
         view.robots.first().and_then(|robot| robot.pose).is_some_and(|pose| moved(pose) > 0.5)
     });
-    assert_eq!(view.robots[0].scans_lost, 0);
+    assert_eq!(view.robots[0].scans_lost, Some(0));
     let ended = fleet.end(Signal::INT);
     assert!(ended.success);
     assert!(ended.took <= END_MAX, "{:?}", ended.took);

@@ -75,7 +75,7 @@ fn the_world_of_a_headset_is_mapped_on_the_runs_clock() {
             && view.merged_map.slam_stats[0] > 500.0
     });
     for robot in &view.robots {
-        assert_eq!((robot.state, robot.scans_lost), ("tracking", 0), "{robot:?}");
+        assert_eq!((robot.state, robot.scans_lost), ("tracking", Some(0)), "{robot:?}");
         assert_eq!(robot.pose_error_m, None, "nobody knows the truth");
     }
     assert_eq!(view.processes.len(), 2 + 4, "no simulators: {:?}", view.processes);

@@ -124,7 +124,10 @@ fn three_robots_map_the_laboratory() {
     let view = FleetView::new(fleet.stats());
     for robot in &view.robots {
         // A robot that sees one wall alone at the end is degenerate, and knows its place.
-        assert!(["tracking", "degenerate"].contains(&robot.state) && robot.scans_lost == 0, "{robot:?}");
+        assert!(
+            ["tracking", "degenerate"].contains(&robot.state) && robot.scans_lost == Some(0),
+            "{robot:?}"
+        );
         assert!(robot.pose_error_m.is_some_and(|error| error < 0.10), "{robot:?}");
     }
     assert!(view.room_coverage.is_some_and(|coverage| coverage > 0.8), "{view:?}");

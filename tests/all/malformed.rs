@@ -84,6 +84,6 @@ fn invalid_frames_are_answered_with_an_error_and_the_fleet_continues() {
     let _ = error_for(port, &oversize);
     let _ = error_for(port, b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n");
     let view = fleet.until("scans after the garbage", |view| view.robots[0].scans > 30);
-    assert_eq!(view.robots[0].scans_lost, 0);
+    assert_eq!(view.robots[0].scans_lost, Some(0));
     assert!(view.processes.iter().all(|process| process.restarts == 0));
 }

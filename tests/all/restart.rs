@@ -26,7 +26,7 @@ fn kill_and_recover(name: &str) {
         assert!(robot.pose_error_m.is_some_and(|error| error < 0.10), "{robot:?}");
     }
     for robot in after.robots.iter().filter(|robot| !name.ends_with(&robot.robot)) {
-        assert_eq!(robot.scans_lost, 0, "{robot:?}");
+        assert_eq!(robot.scans_lost, Some(0), "{robot:?}");
         assert_eq!(robot.state, "tracking", "{robot:?}");
     }
 }

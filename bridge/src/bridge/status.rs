@@ -59,7 +59,7 @@ pub(crate) struct RobotStatus {
     /// Scans that reached SLAM in the last second.
     #[serde(skip_serializing_if = "Option::is_none")]
     scan_hz: Option<f64>,
-    /// Scans lost since the start.
+    /// Scans lost since telemetry was started; missing where SLAM is on another machine.
     #[serde(skip_serializing_if = "Option::is_none")]
     scans_lost: Option<u64>,
     /// Known cells over all cells of its map, 0 to 1.
@@ -138,7 +138,7 @@ fn robot_status(core: &Core, robot: RobotId, viewer: ClientId, now: Monotonic) -
         angular_max_rad_s: limits.angular_rad_s,
         slam: stats.and_then(|stats| TrackingState::from_code(stats.state)).map(TrackingState::name),
         scan_hz: stats.map(|stats| stats.scan_hz),
-        scans_lost: stats.map(|stats| stats.scans_lost),
+        scans_lost: stats.filter(|stats| stats.scans_lost_unknown == 0).map(|stats| stats.scans_lost),
         coverage: stats.map(|stats| stats.coverage).filter(|coverage| coverage.is_finite()),
         known_m2: stats.map(known_m2),
         map_cells: stats.map(|stats| [stats.width, stats.height]),

@@ -72,6 +72,19 @@ impl FleetView {
         text
     }
 
+    /// Says since when figures are counted, if that is not the start of the run: telemetry was started again.
+    pub fn counting_note(&self) -> Option<String> {
+        let is_again = |process: &super::ProcessView| {
+            process.process == msg::Role::Telemetry.name() && process.restarts > 0
+        };
+        self.processes.iter().any(is_again).then(|| {
+            format!(
+                "jitter, latencies and counts are of the last {:.0} s: telemetry was started again",
+                self.counted_s
+            )
+        })
+    }
+
     fn alarm_lines(&self, style: &Style) -> String {
         let lines =
             |alarm: String| paint_lines(&style.wrap(&format!("! {alarm}"), 2), style, Emphasis::Alarm);
@@ -81,6 +94,9 @@ impl FleetView {
     fn figures(&self, style: &Style) -> String {
         let rows: Vec<Vec<Cell>> = self.robots.iter().map(robot_row).collect();
         let mut text = table(&ROBOT_COLUMNS, &rows, style) + &self.name_line(style);
+        if let Some(note) = self.counting_note() {
+            text += &style.wrap(&format!("counted  {note}"), INDENT);
+        }
         let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1}%", 100.0 * v));
         text += &style.wrap(
             &format!(
@@ -155,7 +171,7 @@ fn robot_row(robot: &super::RobotView) -> Vec<Cell> {
         robot.robot.as_str().into(),
         Cell::alarm_if(robot.is_lost() || robot.is_unreliable() || robot.has_stale_scans(), robot.state),
         Cell::alarm_if(robot.has_stale_scans(), format!("{:.2}", robot.scan_hz_last_second)),
-        robot.scans_lost.to_string().into(),
+        robot.scans_lost.map_or_else(|| "-".into(), |lost| lost.to_string()).into(),
         format!("{:.1}", 100.0 * robot.map.coverage).into(),
         robot.tf_jitter_ms.p50_and_p99().into(),
         robot.scan_to_pose_ms.p50_and_p99().into(),
@@ -234,6 +250,24 @@ mod tests {
         let clients = (0..64).map(client).collect();
         let bridge = BridgeState { stopped: true, waiting, clients, ..BridgeState::default() };
         FleetView { bridge: Some(bridge), ..FleetView::new(&stats) }
+    }
+
+    #[test]
+    fn a_table_says_what_is_counted_anew_and_what_is_not_known() {
+        let mut stats: Box<FleetStats> = bytemuck::allocation::zeroed_box();
+        (stats.robot_count, stats.counted_s) = (1, 42.0);
+        (stats.robots[0].scans_lost, stats.robots[0].scans_lost_unknown) = (0, 1);
+        (stats.processes[0].health.role, stats.processes[0].health.pid) = (Role::Telemetry as u32, 7);
+        let style = Style { width: 200, is_coloured: false };
+        let table = |stats: &FleetStats| FleetView::new(stats).table(&style);
+        assert!(!table(&stats).contains("started again"));
+        stats.processes[0].restarts = 1;
+        let text = table(&stats);
+        assert!(text.contains("of the last 42 s: telemetry was started again"), "{text}");
+        let json = serde_json::to_value(FleetView::new(&stats)).unwrap();
+        assert!(json["robots"][0]["scans_lost"].is_null() && json["counted_s"] == 42.0, "{json}");
+        stats.robots[0].scans_lost_unknown = 0;
+        assert_eq!(FleetView::new(&stats).robots[0].scans_lost, Some(0));
     }
 
     #[test]

@@ -82,7 +82,7 @@ type Figure = fn(&Paper, &FleetView) -> Option<f64>;
 const FIGURES: &[(&str, usize, Option<f64>, Figure)] = &[
     ("duration, s", 0, None, |paper, _| Some(paper.duration_s)),
     ("scan rate, mean of the slowest robot, Hz", 2, Some(8.83), |paper, _| paper.scan_hz),
-    ("scans lost", 0, None, |paper, _| Some(paper.scans_lost as f64)),
+    ("scans lost", 0, None, |paper, _| paper.scans_lost.map(|lost| lost as f64)),
     ("merged map, known area, m²", 1, None, |paper, _| paper.merged_m2),
     ("merged map, known share of its cells, %", 1, None, |paper, _| paper.merged_fraction.map(percent)),
     ("robots' maps, known share of their cells, %", 1, None, |paper, _| paper.coverage.map(percent)),

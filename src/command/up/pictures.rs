@@ -198,7 +198,7 @@ fn add_robots(page: &mut Page, fleet: &FleetView, report: &Report) {
             robot.robot.clone(),
             robot.state.to_owned(),
             number(robot.scan_hz, 2),
-            robot.scans_lost.to_string(),
+            robot.scans_lost.map_or_else(|| "no data".into(), |lost| lost.to_string()),
             format!("{} / {}", number(jitter.p50.map(f64::from), 3), number(jitter.p95.map(f64::from), 3)),
             number(robot.scan_to_map_ms.p50.map(f64::from), 1),
             number(robot.pose_error_m, 3),
@@ -223,4 +223,5 @@ fn add_robots(page: &mut Page, fleet: &FleetView, report: &Report) {
         "driven, m",
     ];
     page.table(&heads, &rows);
+    fleet.counting_note().iter().for_each(|note| page.paragraph(note));
 }

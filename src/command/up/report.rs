@@ -51,8 +51,8 @@ pub struct Paper {
     pub duration_s: f64,
     /// Scans that SLAM received per second: mean of the run, of the slowest robot (paper: 8.83).
     pub scan_hz: Option<f64>,
-    /// Scans that were sent and not received by SLAM, all robots.
-    pub scans_lost: u64,
+    /// Scans that were sent and not received by SLAM, all robots; `None`: not known of one of them.
+    pub scans_lost: Option<u64>,
     /// Known area of the merged map, free and occupied, square metres.
     pub merged_m2: Option<f64>,
     /// Known cells over all cells of the merged map, 0 to 1.
@@ -63,6 +63,8 @@ pub struct Paper {
     pub consistency: Option<f64>,
     /// TF jitter at telemetry, in shared memory, of the worst robot: median and P95, milliseconds (paper: 6.3).
     pub tf_jitter_ms: Option<Spread>,
+    /// Time over which that jitter is counted, seconds: less than the run if telemetry was started again.
+    pub tf_jitter_counted_s: f64,
     /// TF jitter at the end of TCP, as the operator's client measures it over all robots, milliseconds.
     pub tf_jitter_client_ms: Option<Spread>,
     /// What the operator drove; `None` without an operator.
@@ -140,6 +142,7 @@ impl Paper {
             coverage: (!coverages.is_empty()).then(|| coverages.iter().sum::<f64>() / coverages.len() as f64),
             consistency: fleet.consistency,
             tf_jitter_ms: jitters.max_by(|a, b| a.p50.total_cmp(&b.p50)),
+            tf_jitter_counted_s: fleet.counted_s,
             tf_jitter_client_ms: operator
                 .filter(|operator| operator["link"]["tf"]["received"].as_u64() > Some(0))
                 .and_then(|operator| Spread::of_json(&operator["link"]["tf"]["jitter_ms"])),
@@ -151,7 +154,8 @@ impl Paper {
     pub fn rows(&self) -> Vec<[String; 3]> {
         let no_data = || "no data".to_owned();
         let percent = |value: Option<f64>| value.map_or_else(no_data, |v| format!("{:.1} %", 100.0 * v));
-        let rate = self.scan_hz.map_or_else(no_data, |hz| format!("{hz:.2} Hz, {} lost", self.scans_lost));
+        let lost = self.scans_lost.map_or_else(|| "not known how many".to_owned(), |lost| lost.to_string());
+        let rate = self.scan_hz.map_or_else(no_data, |hz| format!("{hz:.2} Hz, {lost} lost"));
         let merged = self.merged_m2.map_or_else(no_data, |m2| format!("{m2:.1} m2"));
         let rows = [
             ("duration", format!("{:.0} s", self.duration_s), ""),

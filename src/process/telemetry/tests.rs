@@ -43,8 +43,7 @@ struct Scene {
 
 impl Scene {
     fn new() -> Self {
-        let mut config =
-            crate::config::FleetConfig { world: crate::config::RobotSource::Robots, ..Default::default() };
+        let mut config = crate::config::FleetConfig { world: RobotSource::Robots, ..Default::default() };
         config.fleet.robots = 1;
         let run = Run::in_memory(config).unwrap();
         let robot = RobotId::new(1).unwrap();
@@ -136,7 +135,7 @@ proptest! {
 fn metrics_whose_thread_has_ended_are_unknown() {
     let mut scene = Scene::new();
     let stats = |scene: &mut Scene, second: u64| scene.pass(second * 1000 * MS, 0).unwrap();
-    stats(&mut scene, 1);
+    assert_eq!(stats(&mut scene, 1).robots[0].scans_lost_unknown, 1, "its robots are on other machines");
     scene.finish_metrics();
     assert_eq!(stats(&mut scene, 2).robots[0].occupied_cells, 1);
     scene.waiting.take();

@@ -23,7 +23,7 @@ fn map_transforms(known: usize) -> MapTransforms {
 
 #[test]
 fn a_state_that_slam_has_not_repeated_is_not_known() {
-    let mut telemetry = Telemetry::new(1, &[]);
+    let mut telemetry = Telemetry::new(1, &[], Monotonic(0));
     let mut state = |now_s: u64| {
         TrackingState::from_code(
             telemetry.compute_stats(Stamp(0), Monotonic(now_s * 1000 * MS)).robots[0].state,
@@ -45,7 +45,7 @@ fn a_state_that_slam_has_not_repeated_is_not_known() {
 #[test]
 fn the_statistics_of_one_robot_are_those_of_its_messages() {
     let start = Pose2::new(1.0, 0.5, 0.0);
-    let mut telemetry = Telemetry::new(1, &[Some(start)]);
+    let mut telemetry = Telemetry::new(1, &[Some(start)], Monotonic(0));
     for n in 0..60_u64 {
         let stamp = Stamp((n * 100 * MS) as i64);
         let sent = Monotonic(1 << 40 | (n * 100 * MS));
@@ -88,8 +88,21 @@ fn the_statistics_of_one_robot_are_those_of_its_messages() {
 }
 
 #[test]
+fn the_figures_say_over_what_time_they_are_counted_and_whether_lost_scans_are_known() {
+    let mut telemetry = Telemetry::new(1, &[], Monotonic(5_000 * MS));
+    for (seconds, is_unknown) in [(5, 0), (12, 0), (90, 1)] {
+        if is_unknown == 1 {
+            telemetry.set_lost_scans_unknown();
+        }
+        let stats = telemetry.compute_stats(Stamp(0), Monotonic(seconds * 1_000 * MS));
+        assert_eq!(stats.counted_s, (seconds - 5) as f64);
+        assert_eq!(stats.robots[0].scans_lost_unknown, is_unknown);
+    }
+}
+
+#[test]
 fn a_map_from_before_a_restart_has_no_latency() {
-    let mut telemetry = Telemetry::new(1, &[None]);
+    let mut telemetry = Telemetry::new(1, &[None], Monotonic(0));
     let arrive = |telemetry: &mut Telemetry, scan_sent: u64, received: u64| {
         telemetry.record_map_arrival(robot(1), Monotonic(scan_sent * MS), Monotonic(received * MS));
     };
@@ -125,7 +138,7 @@ fn maps_are_compared_once_their_transforms_are_known() {
     }
     metrics.update_map_transforms(&map_transforms(2));
     metrics.update_merged_map(house().view());
-    let mut telemetry = Telemetry::new(3, &[Some(Pose2::IDENTITY), None]);
+    let mut telemetry = Telemetry::new(3, &[Some(Pose2::IDENTITY), None], Monotonic(0));
     telemetry.set_map_figures(metrics.compute());
     let stats = *telemetry.compute_stats(Stamp(0), Monotonic(0));
     assert_eq!((stats.robot_count, stats.pair_count), (3, 1));
@@ -137,7 +150,7 @@ fn maps_are_compared_once_their_transforms_are_known() {
 
 #[test]
 fn unknown_robots_and_malformed_maps_change_nothing() {
-    let mut telemetry = Telemetry::new(1, &[]);
+    let mut telemetry = Telemetry::new(1, &[], Monotonic(0));
     let empty = *telemetry.compute_stats(Stamp(0), Monotonic(0));
     let mut metrics = MapMetrics::new(1, None, &[]);
     metrics.update_map(robot(2), house().view());
