@@ -23,7 +23,7 @@ fn main() -> ExitCode {
             if is_json {
                 output::print_failure(&error.to_string());
             }
-            ExitCode::FAILURE
+            ExitCode::from(command::exit_code(&error))
         }
     }
 }

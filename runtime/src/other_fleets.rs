@@ -45,22 +45,30 @@ impl fmt::Display for OtherFleet {
     }
 }
 
-/// Lists the fleets of this machine that run, without those whose runtime folders are `found`.
-pub fn other_fleets(found: &[PathBuf]) -> Vec<OtherFleet> {
-    list(Path::new(SHARED_MEMORY), Path::new("/proc"), found)
+/// Lists the fleets of this machine that run, without those whose runtime folders `find` finds; returns both.
+///
+/// A fleet has its runtime folder before it has a name in shared memory, so one that starts meanwhile is found or in no list.
+pub fn other_fleets(find: impl FnOnce() -> Vec<PathBuf>) -> (Vec<PathBuf>, Vec<OtherFleet>) {
+    list(Path::new(SHARED_MEMORY), Path::new("/proc"), find)
 }
 
-fn list(shared_memory: &Path, proc: &Path, found: &[PathBuf]) -> Vec<OtherFleet> {
-    let is_found = |name: &str| found.iter().any(|root| root.file_name().is_some_and(|own| own == name));
+fn list(
+    shared_memory: &Path,
+    proc: &Path,
+    find: impl FnOnce() -> Vec<PathBuf>,
+) -> (Vec<PathBuf>, Vec<OtherFleet>) {
     let entries = fs::read_dir(shared_memory).into_iter().flatten().flatten();
-    let mut fleets: Vec<OtherFleet> = entries
-        .filter_map(|entry| {
-            let name = fleet_of_progress_file(&entry.file_name().to_string_lossy())?;
-            (!is_found(&name)).then(|| describe(&name, &entry.path(), proc)).flatten()
-        })
-        .collect();
-    fleets.sort_by_key(|fleet| fleet.process);
-    fleets
+    let named = |entry: fs::DirEntry| {
+        Some((fleet_of_progress_file(&entry.file_name().to_string_lossy())?, entry.path()))
+    };
+    let all: Vec<(String, PathBuf)> = entries.filter_map(named).collect();
+    let found = find();
+    let is_found = |name: &str| found.iter().any(|root| root.file_name().is_some_and(|own| own == name));
+    let others = all.iter().filter(|(name, _)| !is_found(name));
+    let mut others: Vec<OtherFleet> =
+        others.filter_map(|(name, progress)| describe(name, progress, proc)).collect();
+    others.sort_by_key(|fleet| fleet.process);
+    (found, others)
 }
 
 /// Describes the fleet of this name; `None` if its launcher does not live.
@@ -148,7 +156,7 @@ mod tests {
         }
 
         fn others(&self, found: &[PathBuf]) -> Vec<OtherFleet> {
-            list(&self.path("shm"), &self.path("proc"), found)
+            list(&self.path("shm"), &self.path("proc"), || found.to_vec()).1
         }
     }
 
@@ -161,6 +169,26 @@ mod tests {
         assert!(others[0].is_own && others[0].run_dir == Some(path(b"/runs/\xff".to_vec())));
         let said = others[0].to_string();
         assert!(said.contains("process 8") && said.contains("`mr-slam stop --run-dir /runs/"), "{said}");
+    }
+
+    #[test]
+    fn a_fleet_that_starts_or_ends_meanwhile_is_no_fleet_of_others() {
+        let machine = Machine::new();
+        let first = machine.add(7);
+        machine.add(8);
+        let (found, others) = list(&machine.path("shm"), &machine.path("proc"), || {
+            let starts = machine.add(9);
+            fs::remove_dir_all(machine.path("proc/8")).unwrap();
+            vec![first.clone(), starts]
+        });
+        assert_eq!((found.len(), others), (2, Vec::new()));
+        // It starts after the place for runtime folders was read: nobody says of it that it is not found.
+        let (_, others) = list(&machine.path("shm"), &machine.path("proc"), || {
+            let found = vec![first.clone(), machine.path("run/9_0123abcd")];
+            machine.add(10);
+            found
+        });
+        assert_eq!(others, []);
     }
 
     #[test]

@@ -40,7 +40,10 @@ pub type Error = Box<dyn std::error::Error>;
 /// What the help says below the tools.
 const FOR_PROGRAMS: &str = "With --json a tool prints JSON to standard output, and messages for people to standard error. \
      If it fails, its exit code is not 0 and the JSON says why: {\"error\": \"...\"}, or the result with \
-     its state or alarms.";
+     its state or alarms.\n\nExit codes: 0 done; 1 failed; 2 the command line is wrong; 3 neither done nor failed: `stop` found no \
+     running fleet of this user, or the fleet of `--detach` is still starting.";
+/// Exit code of a tool that has neither done what it was told nor failed.
+const EXIT_UNDONE: u8 = 3;
 
 /// Multi-robot SLAM for one operator: a fleet, its maps, and a bridge to headset and ROS 2
 #[derive(Parser)]
@@ -85,7 +88,7 @@ enum Command {
     Allow(permissions::AllowArgs),
     /// Forbid an address to drive
     Deny(permissions::DenyArgs),
-    /// Stop every robot of all running fleets, or of one, until `release`: the emergency stop
+    /// Stop every robot of all running fleets of this user, or of one, until `release`: the emergency stop. Exit code 3: no such fleet runs
     Stop(permissions::StopArgs),
     /// Release the emergency stop of a running fleet
     Release(permissions::StopArgs),
@@ -128,6 +131,15 @@ pub fn usage_error(why: &clap::Error) -> String {
     let said = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
     let words: Vec<&str> = said.flat_map(str::split_whitespace).collect();
     words.join(" ").trim_start_matches("error: ").to_owned()
+}
+
+/// Returns the exit code of a tool that ended with an error.
+pub fn exit_code(error: &Error) -> u8 {
+    let is_nothing_to_stop = error
+        .downcast_ref::<permissions::PermissionError>()
+        .is_some_and(permissions::PermissionError::is_nothing_to_stop);
+    let is_starting = matches!(error.downcast_ref(), Some(up::UpError::SlowStart { .. }));
+    if is_nothing_to_stop || is_starting { EXIT_UNDONE } else { 1 }
 }
 
 /// Runs the tool that the command line names.
@@ -178,4 +190,24 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Worker(args) => worker::run(&args)?,
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use permissions::PermissionError;
+    use up::UpError;
+
+    #[test]
+    fn what_is_neither_done_nor_failed_has_an_exit_code_of_its_own_and_says_how_to_go_on() {
+        let starting = UpError::SlowStart { dir: "runs/a".into(), pid: 7, log: "runs/a/launcher.log".into() };
+        let said = starting.to_string();
+        assert!(said.contains("`mr-slam status --run-dir runs/a`") && said.contains("kill 7"), "{said}");
+        let failed = UpError::Background { log: "launcher.log".into(), words: String::new() };
+        let not_stopped = PermissionError::NotStopped { failed: 1, all: 2 };
+        let nothing = [0, 2].map(|others| Error::from(PermissionError::NothingToStop { others }));
+        assert_eq!(nothing.each_ref().map(exit_code), [EXIT_UNDONE; 2]);
+        assert_eq!(exit_code(&starting.into()), EXIT_UNDONE);
+        assert_eq!([failed.into(), not_stopped.into(), "other".into()].each_ref().map(exit_code), [1; 3]);
+    }
 }

@@ -83,6 +83,15 @@ pub enum PermissionError {
         /// All fleets that were to be stopped.
         all: usize,
     },
+    /// No fleet of this user runs, so nothing was stopped.
+    #[error("no fleet of yours runs, and nothing was stopped{}", others_text(*.others))]
+    NothingToStop {
+        /// Fleets of other users that run, and may drive.
+        others: usize,
+    },
+    /// The fleet that was named has ended.
+    #[error(transparent)]
+    Ended(RunError),
     /// The emergency stop is not, or not surely, released.
     #[error("run {run}: {why}")]
     NotReleased {
@@ -94,6 +103,21 @@ pub enum PermissionError {
     /// The answer cannot be written to standard output.
     #[error("cannot print the answer: {0}")]
     Print(#[from] std::io::Error),
+}
+
+impl PermissionError {
+    /// Returns whether nothing failed, but nothing was there to be stopped either.
+    pub fn is_nothing_to_stop(&self) -> bool {
+        matches!(self, Self::NothingToStop { .. } | Self::Ended(_))
+    }
+}
+
+/// Says how many fleets of other users may drive.
+fn others_text(others: usize) -> String {
+    match others {
+        0 => String::new(),
+        others => format!("; fleets of other users that may drive: {others}"),
+    }
 }
 
 /// Answer as JSON.

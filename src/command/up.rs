@@ -72,7 +72,8 @@ pub struct UpArgs {
     /// Size at which a recording's next file begins, megabytes [default: 2000]
     #[arg(long, value_name = "MB")]
     pub split_mb: Option<u64>,
-    /// Go on in the background, also after logging out; the output goes to launcher.log in the run's folder
+    /// Go on in the background, also after logging out; the output goes to launcher.log in the run's folder. Exit code 3: after 60 s
+    /// the fleet is still starting, and goes on; `mr-slam status` says when it works
     #[arg(long)]
     pub detach: bool,
     /// Process that started this one, whose end ends the fleet; for programs that measure it.
@@ -129,8 +130,15 @@ pub enum UpError {
         words: String,
     },
     /// The fleet in the background lives, but its first process does not work yet.
-    #[error("the fleet (process {pid}) does not work yet, and goes on trying; its log is {}, and `kill {pid}` ends it", log.display())]
+    #[error(
+        "the fleet (process {pid}) is still starting and has not failed: `mr-slam status --run-dir {}` says when it works, its log is {}, \
+         and `kill {pid}` ends it",
+        dir.display(),
+        log.display()
+    )]
     SlowStart {
+        /// Folder of the run.
+        dir: PathBuf,
         /// Process id of the launcher.
         pid: u32,
         /// Path of the log.

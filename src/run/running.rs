@@ -65,8 +65,8 @@ impl fmt::Display for LostFleet {
 impl RunningFleets {
     /// Finds all of them.
     pub fn find() -> Self {
-        let roots = runtime_folder::live_fleets();
-        Self { others: other_fleets(&roots), ..Self::of(&roots) }
+        let (roots, others) = other_fleets(runtime_folder::live_fleets);
+        Self { others, ..Self::of(&roots) }
     }
 
     /// Describes the fleets in these runtime folders, without those whose launcher is dead.

@@ -76,6 +76,11 @@ impl StoppedFleet {
         !self.confirmed || !self.unconfirmed.is_empty()
     }
 
+    /// Whether the fleet is another user's, whom this one cannot stop.
+    fn is_of_another_user(&self) -> bool {
+        self.other.as_ref().is_some_and(|other| !other.is_own)
+    }
+
     fn line(&self) -> String {
         if let Some(other) = &self.other {
             return format!("NOT STOPPED: {other}\n");
@@ -112,20 +117,31 @@ impl StoppedFleet {
     }
 }
 
-/// Sets the emergency stop of the named fleet, or of all fleets.
+/// Sets the emergency stop of the named fleet, or of all fleets of this user. Those of other users are listed, and decide nothing.
 pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
     let RunningFleets { runs, lost, others } = match &args.run.run_dir {
-        Some(dir) => named(dir)?,
+        Some(dir) => named(dir).map_err(|why| match why {
+            RunError::Ended(_) => PermissionError::Ended(why),
+            why => why.into(),
+        })?,
         None => RunningFleets::find(),
     };
     let mut fleets = stop_all(runs, lost);
     fleets.extend(others.into_iter().map(StoppedFleet::from));
-    if fleets.is_empty() {
-        return Err(RunError::NoneRunning.into());
+    if !fleets.is_empty() {
+        output::print_either(args.json, &fleets, || fleets.iter().map(StoppedFleet::line).collect())?;
     }
-    output::print_either(args.json, &fleets, || fleets.iter().map(StoppedFleet::line).collect())?;
-    let (all, failed) = (fleets.len(), fleets.iter().filter(|fleet| fleet.may_drive()).count());
-    if failed > 0 { Err(PermissionError::NotStopped { failed, all }) } else { Ok(()) }
+    outcome(&fleets)
+}
+
+/// Returns what came of a stop, by the fleets of this user.
+fn outcome(fleets: &[StoppedFleet]) -> Result<(), PermissionError> {
+    let own = || fleets.iter().filter(|fleet| !fleet.is_of_another_user());
+    match (own().filter(|fleet| fleet.may_drive()).count(), own().count()) {
+        (_, 0) => Err(PermissionError::NothingToStop { others: fleets.len() }),
+        (0, _) => Ok(()),
+        (failed, all) => Err(PermissionError::NotStopped { failed, all }),
+    }
 }
 
 /// Returns the fleet in a folder.
@@ -353,6 +369,28 @@ mod tests {
     fn confirm_stop(mut stream: UnixStream) {
         let answer = Ok::<_, String>(BridgeState { stopped: true, ..BridgeState::default() });
         stream.write_all((serde_json::to_string(&answer).unwrap() + "\n").as_bytes()).unwrap();
+    }
+
+    #[test]
+    fn fleets_of_other_users_decide_nothing() {
+        let other = |is_own| {
+            StoppedFleet::from(OtherFleet { process: 7, user: "somebody".into(), is_own, run_dir: None })
+        };
+        let own = |confirmed| StoppedFleet { confirmed, latched: true, other: None, ..other(true) };
+        for others in 0..3 {
+            let with = |mut fleets: Vec<StoppedFleet>| {
+                fleets.extend((0..others).map(|_| other(false)));
+                outcome(&fleets)
+            };
+            assert!(with(vec![own(true), own(true)]).is_ok());
+            let nothing = with(vec![]).unwrap_err();
+            assert!(nothing.is_nothing_to_stop(), "{nothing}");
+            assert_eq!(nothing.to_string().contains("other users"), others > 0, "{nothing}");
+            let elsewhere = with(vec![own(true), other(true)]).unwrap_err();
+            assert!(matches!(elsewhere, PermissionError::NotStopped { failed: 1, all: 2 }), "{elsewhere}");
+            let failed = with(vec![own(false)]).unwrap_err();
+            assert!(matches!(failed, PermissionError::NotStopped { failed: 1, all: 1 }), "{failed}");
+        }
     }
 
     #[test]
