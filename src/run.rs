@@ -15,13 +15,15 @@ mod folder;
 mod running;
 
 pub use folder::{
-    LINK_REPORT, check_output, keep_earlier_results, lock_folder, remove_link_report, restore_folder,
+    LINK_REPORT, check_output, folder_name_now, keep_earlier_results, lock_folder, remove_link_report,
+    restore_folder,
 };
 pub use running::{LostFleet, RunningFleets};
 
 use crate::channel::Opener;
 use crate::clock::Epoch;
 use crate::config::FleetConfig;
+use crate::layout;
 use crate::other_fleets::OtherFleet;
 use crate::ports::ChannelError;
 use crate::progress::{ProgressCounter, WatchedThread};
@@ -235,6 +237,7 @@ impl Run {
         let file = RunFile { pid, domain, runtime, epoch_ns, begun_ns, port };
         let run = Self::from_file(dir, file, config)?;
         let guard = DomainGuard::new(run.domain.clone());
+        layout::write(run.domain.root()).map_err(RunError::file(run.domain.root()))?;
         run.write_description()?;
         // `mr-slam status` finds the run by it without knowing its folder.
         running::write_pointer(&run)?;
@@ -265,7 +268,9 @@ impl Run {
     /// Opens the run that the folder `dir` describes.
     pub fn open(dir: &Path) -> Result<Self, RunError> {
         let file = RunFile::read(dir)?;
-        let config = FleetConfig::from_file(&dir.join("fleet.toml"))?;
+        // A configuration of another build may have other keys.
+        let config = FleetConfig::from_file(&dir.join("fleet.toml"))
+            .map_err(|why| layout::check(&file.runtime).map_or_else(RunError::from, |()| why.into()))?;
         Self::from_file(dir.into(), file, config)
     }
 
@@ -359,6 +364,21 @@ mod tests {
             .filter(|name| name.starts_with(&own) && name.ends_with("_ipc"))
             .collect();
         assert!(left.is_empty(), "{left:?}");
+    }
+
+    #[test]
+    fn a_tool_of_another_build_is_told_so_whatever_it_cannot_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = Run::create(folder.path(), FleetConfig::default(), 0, false).unwrap();
+        let _guard = DomainGuard::new(run.domain.clone());
+        run.attach(Role::Telemetry, None).unwrap();
+        fs::write(run.domain.root().join("build"), "0.0.9, layout 1").unwrap();
+        let why = run.attach(Role::Telemetry, None).err().unwrap().to_string();
+        assert!(why.contains("0.0.9, layout 1") && why.contains(layout::OWN), "{why}");
+        assert!(Run::open_running(&run.dir).is_ok(), "the emergency stop needs no channel");
+        fs::write(run.dir.join("fleet.toml"), "[of_another_build]\nkey = 1\n").unwrap();
+        let why = Run::open_running(&run.dir).unwrap_err().to_string();
+        assert!(why.contains("0.0.9, layout 1"), "{why}");
     }
 
     #[test]

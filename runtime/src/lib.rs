@@ -24,6 +24,7 @@ mod file_lock;
 mod held_signals;
 pub mod job_thread;
 pub mod keys;
+pub mod layout;
 pub mod lossy_path;
 pub mod other_fleets;
 pub mod realtime;

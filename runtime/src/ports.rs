@@ -26,6 +26,17 @@ pub enum ChannelError {
         /// The cause, as iceoryx2 names it.
         why: String,
     },
+    /// The fleet was started with another build of the program, whose messages differ.
+    #[error(
+        "the fleet runs mr-slam {running}, and this is mr-slam {own}: their messages differ; use the program that started the \
+         fleet, or start the fleet again with this one"
+    )]
+    OtherBuild {
+        /// Build of the launcher.
+        running: String,
+        /// Build of this program.
+        own: &'static str,
+    },
     /// The table of channels does not allow it.
     #[error(transparent)]
     Undeclared(#[from] Undeclared),

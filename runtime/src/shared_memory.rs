@@ -15,6 +15,7 @@ pub use maps::{MapReader, MapWriter};
 use crate::channel::{Channel, Direction, Opener};
 use crate::clock::{SystemClock, now};
 use crate::held_signals::HeldSignals;
+use crate::layout;
 use crate::ports::{ChannelError, MessageSequencer, Ports, ReadPort, ReceiveCounts, WritePort};
 use bytemuck::{Pod, TransparentWrapper};
 use iceoryx2::port::listener::Listener as IpcListener;
@@ -72,8 +73,9 @@ pub struct Participant {
 }
 
 impl Participant {
-    /// Attaches to a run. `name` is shown by iceoryx2's tools.
+    /// Attaches to a run of this build. `name` is shown by iceoryx2's tools.
     pub fn open(domain: &Domain, opener: Opener, name: &str) -> Result<Self, ChannelError> {
+        layout::check(domain.root())?;
         let _held = HeldSignals::hold();
         let node = NodeBuilder::new()
             .config(domain.config())

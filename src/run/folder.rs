@@ -11,6 +11,11 @@ const LOCK: &str = ".lock";
 /// Name of the folder with the results of the run before.
 const EARLIER: &str = "results.earlier";
 
+/// Returns a folder name that sorts by time, UTC.
+pub fn folder_name_now() -> String {
+    chrono::Utc::now().format("%Y-%m-%dT%H-%M-%S").to_string()
+}
+
 /// Locks the folder of a run, which must exist, until the lock is dropped.
 ///
 /// Errors: a fleet runs in it, or the lock cannot be made.
