@@ -294,10 +294,9 @@ impl Supervisor {
         self.members.iter().filter(|member| member.policy.is_failing(now())).map(Member::name).collect()
     }
 
-    /// Asks every child to end, kills those that do not, and removes the run's shared memory. A further request of `stop` meanwhile
-    /// kills them at once. `tell` is called with what is waited for. Returns what is not saved.
+    /// Asks every child to end, kills those that do not, and removes the run's shared memory. A further request of `stop` after the one
+    /// that was noticed kills them at once. `tell` is called with what is waited for. Returns what is not saved.
     pub fn end(&mut self, stop: &Stop, tell: &mut dyn FnMut(String)) -> Vec<String> {
-        let mut was_requested = stop.take();
         let children = || self.members.iter().filter_map(|member| member.child.as_ref());
         children().for_each(|child| signal(child, Signal::TERM));
         let (asked, mut lost) = (Instant::now(), Vec::new());
@@ -309,7 +308,7 @@ impl Supervisor {
             let mut is_told = false;
             while matches!(child.try_wait(), Ok(None))
                 && asked.elapsed() < grace
-                && !stop.is_requested_again(&mut was_requested)
+                && !stop.is_requested_again()
             {
                 if asked.elapsed() >= END_GRACE && !std::mem::replace(&mut is_told, true) {
                     tell(format!("ending: waiting for the {name}; Ctrl-C again kills it"));
@@ -318,7 +317,7 @@ impl Supervisor {
             }
             let is_killed = matches!(child.try_wait(), Ok(None));
             if is_killed {
-                let why = if stop.requested() { ", as a second request asked" } else { "" };
+                let why = if stop.is_requested_again() { ", as a second request asked" } else { "" };
                 let text = format!(
                     "the {name} had not ended after {} s and was killed{why}",
                     asked.elapsed().as_secs()
@@ -335,9 +334,6 @@ impl Supervisor {
             lost.extend(unsaved.map(|unsaved| format!("the {name} failed: {unsaved}")));
         }
         self.run.domain.remove();
-        if was_requested {
-            stop.request();
-        }
         lost
     }
 }

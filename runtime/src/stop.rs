@@ -1,12 +1,28 @@
 //! Requests to end this process: SIGINT, SIGTERM, SIGHUP, or the death of the launcher.
 
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::process::{Pid, PidfdFlags, Signal, getpid, getppid, kill_process, pidfd_open};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use std::io;
+use std::os::fd::OwnedFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{Builder, sleep};
+use std::time::Duration;
+
+/// Time after the launcher's death in which a child may end by itself: more than the slowest has to write its files. Then it hangs.
+const ORPHAN_GRACE: Duration = Duration::from_secs(30);
+/// Stack of the thread that waits for the launcher's death, bytes: it hardly needs any.
+const WATCH_STACK_BYTES: usize = 64 << 10;
 
 /// Flag that is set when this process should end. Clones share the flag.
 #[derive(Clone, Debug, Default)]
-pub struct Stop(Arc<AtomicBool>);
+pub struct Stop {
+    /// Set by a request.
+    request: Arc<AtomicBool>,
+    /// Set when a request was noticed, which tells a further one from it.
+    is_noticed: Arc<AtomicBool>,
+}
 
 impl Stop {
     /// Creates a flag that SIGINT, SIGTERM and SIGHUP set. SIGHUP says that the terminal was closed; where it is ignored,
@@ -15,18 +31,26 @@ impl Stop {
         let stop = Self::default();
         for signal in [SIGINT, SIGTERM, SIGHUP] {
             if signal != SIGHUP || !is_ignored(SIGHUP) {
-                signal_hook::flag::register(signal, stop.0.clone())?;
+                signal_hook::flag::register(signal, stop.request.clone())?;
             }
         }
         Ok(stop)
     }
 
-    /// Creates a flag for a child of the launcher. It is set by signals and by the death of the launcher.
+    /// Creates a flag for a child of the launcher. It is set by signals and by the death of the launcher. A child that has not ended
+    /// 30 s after that death hangs, and is killed: nobody else would.
     pub fn for_child(launcher_pid: u32) -> std::io::Result<Self> {
         let stop = Self::on_signals()?;
-        rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM))?;
-        // The launcher may have died before the line above.
-        if rustix::process::getppid().map(|pid| pid.as_raw_nonzero().get() as u32) != Some(launcher_pid) {
+        rustix::process::set_parent_process_death_signal(Some(Signal::TERM))?;
+        let launcher = Pid::from_raw(launcher_pid as i32);
+        // Where the system has no such descriptors, a child that hangs stays.
+        if let Some(Ok(launcher)) = launcher.map(|pid| pidfd_open(pid, PidfdFlags::empty())) {
+            act_after_death(launcher, ORPHAN_GRACE, || {
+                let _ = kill_process(getpid(), Signal::KILL);
+            })?;
+        }
+        // The launcher may have died before the lines above.
+        if getppid() != launcher {
             stop.request();
         }
         Ok(stop)
@@ -34,32 +58,45 @@ impl Stop {
 
     /// Sets the flag.
     pub fn request(&self) {
-        self.0.store(true, Ordering::Relaxed);
+        self.request.store(true, Ordering::Relaxed);
     }
 
-    /// Clears the flag; returns whether it was set. A further request sets it again.
-    pub fn take(&self) -> bool {
-        self.0.swap(false, Ordering::Relaxed)
-    }
-
-    /// Returns whether a further request has come after one that was taken. The first one may come late.
-    pub fn is_requested_again(&self, was_requested: &mut bool) -> bool {
-        if !*was_requested {
-            *was_requested = self.take();
-            return false;
+    /// Notices a request that has come, if one has. A further one is told from it from now on.
+    pub fn notice(&self) {
+        if self.request.swap(false, Ordering::Relaxed) {
+            self.is_noticed.store(true, Ordering::Relaxed);
         }
-        self.requested()
+    }
+
+    /// Returns whether a further request has come after one that was noticed. The first one may come late: it is noticed here.
+    pub fn is_requested_again(&self) -> bool {
+        if self.is_noticed.load(Ordering::Relaxed) {
+            return self.request.load(Ordering::Relaxed);
+        }
+        self.notice();
+        false
     }
 
     /// Returns whether the process should end.
     pub fn requested(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        self.request.load(Ordering::Relaxed) || self.is_noticed.load(Ordering::Relaxed)
     }
 
-    /// Returns the flag, for libraries that poll it.
+    /// Returns the flag of requests that were not noticed, for libraries that poll it.
     pub fn flag(&self) -> &AtomicBool {
-        &self.0
+        &self.request
     }
+}
+
+/// Starts a thread that acts some time after the death of a process.
+fn act_after_death(process: OwnedFd, grace: Duration, act: impl FnOnce() + Send + 'static) -> io::Result<()> {
+    let wait = move || {
+        // It becomes readable with the death; a signal may interrupt the wait.
+        while poll(&mut [PollFd::new(&process, PollFlags::IN)], None).is_err() {}
+        sleep(grace);
+        act();
+    };
+    Builder::new().name("launcher-watch".into()).stack_size(WATCH_STACK_BYTES).spawn(wait).map(drop)
 }
 
 /// Returns whether this process ignores a signal.
@@ -68,4 +105,42 @@ fn is_ignored(signal: i32) -> bool {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::process::{Command, Stdio};
+    use std::sync::mpsc::{TryRecvError, sync_channel};
+
+    #[test]
+    fn an_action_waits_for_the_death_of_a_process() {
+        // It ends with its input.
+        let mut process = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let pid = Pid::from_raw(process.id() as i32).unwrap();
+        let (sender, acted) = sync_channel(1);
+        let descriptor = pidfd_open(pid, PidfdFlags::empty()).unwrap();
+        act_after_death(descriptor, Duration::ZERO, move || sender.send(()).unwrap()).unwrap();
+        assert_eq!(acted.try_recv(), Err(TryRecvError::Empty));
+        drop(process.stdin.take());
+        assert_eq!(acted.recv_timeout(Duration::from_secs(600)), Ok(()));
+        process.wait().unwrap();
+    }
+
+    #[test]
+    fn a_second_request_is_told_from_the_first_whenever_that_is_noticed() {
+        for is_noticed_early in [true, false] {
+            let stop = Stop::default();
+            assert!(!stop.is_requested_again() && !stop.requested());
+            stop.request();
+            if is_noticed_early {
+                stop.notice();
+            }
+            assert!(!stop.is_requested_again() && stop.requested());
+            stop.notice();
+            assert!(!stop.is_requested_again() && stop.requested(), "noticed once is enough");
+            stop.clone().request();
+            assert!(stop.is_requested_again() && stop.requested());
+        }
+    }
 }

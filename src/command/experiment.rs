@@ -8,7 +8,6 @@ mod summary;
 mod virtual_time;
 
 use super::fleet_args::{FleetArgs, Starts};
-use super::up;
 use super::{Error, output};
 use crate::config::{FleetConfig, RobotSource};
 use crate::fleet;
@@ -121,10 +120,9 @@ impl Experiment {
             config.fleet.starts = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
         }
         let link = args.link.link(default_link)?;
-        let out = args
-            .out
-            .clone()
-            .unwrap_or_else(|| PathBuf::from("runs").join(format!("{}-experiment", up::folder_name_now())));
+        let out = args.out.clone().unwrap_or_else(|| {
+            PathBuf::from("runs").join(format!("{}-experiment", crate::run::folder_name_now()))
+        });
         let link_name = args.link.describe(default_link, &link);
         Ok(Self { args: args.clone(), config, link, link_name, out })
     }

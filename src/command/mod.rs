@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn what_is_neither_done_nor_failed_has_an_exit_code_of_its_own_and_says_how_to_go_on() {
-        let starting = UpError::SlowStart { dir: "runs/a".into(), pid: 7, log: "runs/a/launcher.log".into() };
+        let starting = UpError::SlowStart { pid: 7, dir: "runs/a".into() };
         let said = starting.to_string();
         assert!(said.contains("`mr-slam status --run-dir runs/a`") && said.contains("kill 7"), "{said}");
         let failed = UpError::Background { log: "launcher.log".into(), words: String::new() };

@@ -8,10 +8,12 @@ use crate::run::Run;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
 use std::fs::File;
-use std::io;
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+/// What a recording's file of numbers says until it has them.
+const NOT_ENDED: &str = "the recorder still records, or was killed: the messages were not counted";
 /// Recordings of one second that get names of their own.
 const NAMES_TRIED_MAX: u32 = 100;
 
@@ -97,7 +99,20 @@ fn reserve(path: &Path) -> Result<(PathBuf, PathBuf), Error> {
             let _ = std::fs::remove_file(&summary_path);
             Err(taken(path))
         }
-        Ok(_) => Ok((path.to_owned(), summary_path)),
+        Ok(mut file) => {
+            // A recorder that is killed leaves it so.
+            let begun =
+                Summary { files: vec![path.to_owned()], ended: Some(NOT_ENDED.into()), ..Summary::default() };
+            let written =
+                serde_json::to_vec_pretty(&begun).map_err(Into::into).and_then(|json| file.write_all(&json));
+            match written {
+                Ok(()) => Ok((path.to_owned(), summary_path)),
+                Err(why) => {
+                    let _ = std::fs::remove_file(&summary_path);
+                    Err(format!("cannot write {}: {why}", summary_path.display()).into())
+                }
+            }
+        }
         Err(why) if why.kind() == io::ErrorKind::AlreadyExists => Err(taken(&summary_path)),
         Err(why) => Err(format!("cannot write {}: {why}", summary_path.display()).into()),
     }
@@ -105,7 +120,7 @@ fn reserve(path: &Path) -> Result<(PathBuf, PathBuf), Error> {
 
 /// Reserves a path named by the time in a folder.
 fn reserve_name(folder: &Path) -> Result<(PathBuf, PathBuf), Error> {
-    let now = super::up::folder_name_now();
+    let now = crate::run::folder_name_now();
     let named = |suffix: String| folder.join(format!("{now}{suffix}.mcap"));
     let is_free = |path: &PathBuf| !path.exists() && !path.with_extension("json").exists();
     let others = (2..NAMES_TRIED_MAX).map(|number| named(format!("-{number}")));
@@ -145,6 +160,10 @@ mod tests {
         let path = folder.path().join("new/a.mcap");
         let (recording, numbers) = reserve(&path).unwrap();
         assert_eq!((recording, numbers.is_file()), (path.clone(), true));
+        // What a recorder leaves that is killed.
+        let left: serde_json::Value = serde_json::from_slice(&std::fs::read(&numbers).unwrap()).unwrap();
+        assert!(left["ended"].as_str().is_some_and(|why| why.contains("killed")), "{left}");
+        assert_eq!(left["files"][0].as_str(), path.to_str());
         // Another recorder of this moment, before either has written anything.
         let why = reserve(&path).unwrap_err().to_string();
         assert!(why.contains("a.json: exists already"), "{why}");

@@ -19,7 +19,7 @@ use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
 use crate::offered_room;
 use crate::resources::{self, ResourceMonitor, Shortage};
-use crate::run::{Run, RunError, create_new_folder, keep_earlier_results};
+use crate::run::{Run, RunError, create_new_folder, folder_name_now, keep_earlier_results};
 use crate::sessions;
 use crate::shared_memory::DomainGuard;
 use crate::stop::Stop;
@@ -131,18 +131,14 @@ pub enum UpError {
     },
     /// The fleet in the background lives, but its first process does not work yet.
     #[error(
-        "the fleet (process {pid}) is still starting and has not failed: `mr-slam status --run-dir {}` says when it works, its log is {}, \
-         and `kill {pid}` ends it",
-        dir.display(),
-        log.display()
+        "the fleet (process {pid}) is still starting and has not failed: `mr-slam status --run-dir {dir}` says when it works, \
+         {dir}/launcher.log has its messages, and `kill {pid}` ends it"
     )]
     SlowStart {
-        /// Folder of the run.
-        dir: PathBuf,
         /// Process id of the launcher.
         pid: u32,
-        /// Path of the log.
-        log: PathBuf,
+        /// Folder of the run.
+        dir: String,
     },
     /// The machine has too little of a resource.
     #[error(transparent)]
@@ -360,6 +356,8 @@ fn watch(
         }
         std::thread::sleep(TEND_PERIOD);
     }
+    // A further request, also while the operator ends and maps are written, kills what does not end.
+    stop.notice();
     let operator = hooks.on_stop();
     std::thread::sleep(LAST_MAPS);
     observer.poll();
@@ -397,9 +395,4 @@ fn check_resources(run: &Run, screen: &mut Screen) -> Result<(), UpError> {
 fn fleet_view(run: &Run, observer: &Observer, console: &OperatorConsole) -> Option<FleetView> {
     let view = observer.fleet_view(run)?;
     Some(console.fill(view.with_edges(observer.merge_edges())))
-}
-
-/// Returns a folder name that sorts by time, UTC.
-pub(super) fn folder_name_now() -> String {
-    chrono::Utc::now().format("%Y-%m-%dT%H-%M-%S").to_string()
 }

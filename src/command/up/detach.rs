@@ -60,7 +60,7 @@ pub(super) fn start(dir: &Path) -> Result<(), UpError> {
                 return Err(UpError::Background { words: end_of(&log_path, log_begin), log: log_path });
             }
             _ if begun.elapsed() >= START_WAIT_MAX => {
-                return Err(UpError::SlowStart { dir, pid: child.id(), log: log_path });
+                return Err(UpError::SlowStart { pid: child.id(), dir: dir.display().to_string() });
             }
             _ => std::thread::sleep(START_POLL),
         }
