@@ -61,7 +61,8 @@ impl Stop {
         self.request.store(true, Ordering::Relaxed);
     }
 
-    /// Notices a request that has come, if one has. A further one is told from it from now on.
+    /// Notices a request that has come, if one has. A further one is told from it from now on, so call it as soon as the process
+    /// begins to end.
     pub fn notice(&self) {
         if self.request.swap(false, Ordering::Relaxed) {
             self.is_noticed.store(true, Ordering::Relaxed);

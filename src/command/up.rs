@@ -356,13 +356,11 @@ fn watch(
         }
         std::thread::sleep(TEND_PERIOD);
     }
-    // A further request, also while the operator ends and maps are written, kills what does not end.
     stop.notice();
     let operator = hooks.on_stop();
     std::thread::sleep(LAST_MAPS);
     observer.poll();
     let (maps, errors) = observer.write_maps(&run.dir);
-    let not_written: Vec<String> = errors.iter().map(ToString::to_string).collect();
     observer.changed_edges();
     let mut fleet = fleet_view(run, &observer, &console);
     if let Some(fleet) = &mut fleet {
@@ -372,7 +370,7 @@ fn watch(
     let pictures = Pictures::of_maps(&run.config, &observer, &mut series);
     let report = Report::new(run, begun.elapsed(), fleet, operator, maps, events);
     let mut report = Report { series, pictures, ..report };
-    report.not_written.extend(not_written);
+    report.not_written.extend(errors.iter().map(ToString::to_string));
     Ok(report)
 }
 
