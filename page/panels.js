@@ -41,6 +41,7 @@ export const ROBOT_ROWS = [
   ["Goal", true, (robot) => describeNavigation(robot)],
   ["Scans", false, ({ figures }) => format(figures.scan_hz, 1, " Hz")],
   ["Lost", false, ({ figures }) => format(figures.scans_lost)],
+  ["Counted", false, ({ figures }) => format(figures.counted_s, 0, " s")],
   ["Age", false, (robot, now) => format(robot.scanAge(now), 2, " s")],
   ["Known", false, ({ figures }) => format(figures.known_m2, 1, " m²")],
   ["Cover", false, ({ figures }) => percent(figures.coverage)],

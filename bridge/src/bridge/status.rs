@@ -62,6 +62,9 @@ pub(crate) struct RobotStatus {
     /// Scans lost since telemetry was started; missing where SLAM is on another machine.
     #[serde(skip_serializing_if = "Option::is_none")]
     scans_lost: Option<u64>,
+    /// Time over which lost scans and the delays are counted, seconds: since telemetry was started last.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    counted_s: Option<f64>,
     /// Known cells over all cells of its map, 0 to 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     coverage: Option<f64>,
@@ -139,6 +142,7 @@ fn robot_status(core: &Core, robot: RobotId, viewer: ClientId, now: Monotonic) -
         slam: stats.and_then(|stats| TrackingState::from_code(stats.state)).map(TrackingState::name),
         scan_hz: stats.map(|stats| stats.scan_hz),
         scans_lost: stats.filter(|stats| stats.scans_lost_unknown == 0).map(|stats| stats.scans_lost),
+        counted_s: core.stats.get().map(|stats| stats.counted_s),
         coverage: stats.map(|stats| stats.coverage).filter(|coverage| coverage.is_finite()),
         known_m2: stats.map(known_m2),
         map_cells: stats.map(|stats| [stats.width, stats.height]),
