@@ -236,10 +236,21 @@ fn subfolders(home: &Path) -> Vec<PathBuf> {
     entries.filter(|path| check_folder(path, Forbidden::Everything).is_ok()).collect()
 }
 
-/// Returns whether the launcher of the fleet in this folder lives.
+/// Returns whether the launcher of the fleet in this folder is known to live.
 pub fn is_alive(root: &Path) -> bool {
-    check_folder(root, Forbidden::Everything).is_ok()
-        && (Lock::is_held(&root.join(LOCK)) || Lock::is_held(root))
+    has_launcher(root).unwrap_or(false)
+}
+
+/// Returns whether the launcher of the fleet in this folder lives. A fleet that has ended has no folder, or one without a lock.
+///
+/// # Errors
+/// The folder cannot be reached, or is not this user's alone: whether the fleet lives is not known.
+pub fn has_launcher(root: &Path) -> Result<bool, TrustError> {
+    match check_folder(root, Forbidden::Everything) {
+        Ok(()) => Ok(Lock::is_held(&root.join(LOCK)) || Lock::is_held(root)),
+        Err(TrustError::Missing { why, .. }) if why.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(why) => Err(why),
+    }
 }
 
 /// Returns the folders of all fleets of this user whose launcher lives.
@@ -318,5 +329,11 @@ mod tests {
         leftovers(&home, |name, _| found.push(name.to_owned()));
         assert_eq!(found, ["dead"]);
         assert!(is_alive(&home.join("alive")) && !is_alive(&home.join("dead")));
+        let ended = ["dead", "missing"].map(|name| has_launcher(&home.join(name)).unwrap());
+        assert_eq!(ended, [false; 2]);
+        // A folder below a file cannot be reached.
+        for unknown in [open, home.join("alive").join(LOCK).join("below")] {
+            assert!(has_launcher(&unknown).is_err() && !is_alive(&unknown), "{unknown:?}");
+        }
     }
 }

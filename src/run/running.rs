@@ -46,7 +46,7 @@ impl LostFleet {
         // A fleet's folder is named after its launcher's process.
         let name = runtime.file_name().unwrap_or_default().to_string_lossy();
         let pid = name.split('_').next().and_then(|pid| pid.parse().ok());
-        let has_remote_robots = runtime.join(REMOTE_ROBOTS).exists();
+        let has_remote_robots = has_remote_robots(runtime);
         Self { pid, runtime: runtime.into(), folder, missing, has_remote_robots }
     }
 }
@@ -84,6 +84,20 @@ impl RunningFleets {
         found.sort();
         Self { runs: found.into_iter().map(|(_, dir)| dir).collect(), lost, others: Vec::new() }
     }
+}
+
+/// Returns whether robots of the fleet in a runtime folder are on other machines.
+pub fn has_remote_robots(root: &Path) -> bool {
+    root.join(REMOTE_ROBOTS).exists()
+}
+
+/// Returns the runtime folder that `run.json` in the folder of a run names. The configuration, which another build may have written, is
+/// not read.
+///
+/// # Errors
+/// `run.json` cannot be read, or is not this user's.
+pub fn runtime_folder_of(dir: &Path) -> Result<PathBuf, RunError> {
+    Ok(RunFile::read(dir)?.runtime)
 }
 
 /// Returns the start of the fleet in a runtime folder, in nanoseconds of CLOCK_MONOTONIC, and the folder of its run.

@@ -9,7 +9,8 @@ use crate::lossy_path;
 use crate::other_fleets::OtherFleet;
 use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport};
-use crate::run::{LostFleet, Run, RunError, RunningFleets};
+use crate::run::{LostFleet, Run, RunError, RunningFleets, has_remote_robots, runtime_folder_of};
+use crate::runtime_folder::has_launcher;
 use crate::storage::{DiskStorage, Storage};
 use msg::{Monotonic, PauseReason};
 use reports::BridgeState;
@@ -117,7 +118,8 @@ impl StoppedFleet {
     }
 }
 
-/// Sets the emergency stop of the named fleet, or of all fleets of this user. Those of other users are listed, and decide nothing.
+/// Sets the emergency stop of the named fleet, or of all fleets of this user. Those of other users are listed, and do not change
+/// the exit code.
 pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
     let RunningFleets { runs, lost, others } = match &args.run.run_dir {
         Some(dir) => named(dir).map_err(|why| match why {
@@ -145,10 +147,12 @@ fn outcome(fleets: &[StoppedFleet]) -> Result<(), PermissionError> {
 }
 
 /// Returns the fleet in a folder.
+///
+/// Errors: it has ended, or is another user's, or the folder has none.
 fn named(dir: &Path) -> Result<RunningFleets, RunError> {
-    match Run::open(dir) {
+    match runtime_folder_of(dir) {
         // A stop of a fleet that has ended stops nothing, and the next one in this folder would begin with it.
-        Ok(run) if !run.is_alive() => Err(RunError::Ended(run.dir)),
+        Ok(root) if !has_launcher(&root)? => Err(RunError::Ended(dir.into())),
         Err(why) if !dir.join("run.json").exists() => {
             let mut lost = RunningFleets::find().lost;
             lost.retain(|fleet| fleet.folder.as_deref() == Some(&absolute(dir)));
@@ -188,13 +192,16 @@ fn why_unconfirmed(answer: Result<BridgeState, AskError>) -> Option<String> {
     }
 }
 
+/// Returns a name for the robots on other machines of a fleet whose run cannot be read: so what they say of themselves is not known.
+fn remote_robots(root: &Path) -> Vec<String> {
+    if has_remote_robots(root) { vec!["its robots on other machines".into()] } else { vec![] }
+}
+
 /// Stops a fleet whose run's folder cannot be read: its bridge still listens in its runtime folder.
 fn stop_lost(fleet: LostFleet) -> StoppedFleet {
     let why_not = why_unconfirmed(control::ask_again_in(&fleet.runtime, Request::Stop, PATIENCE));
     let confirmed = why_not.is_none();
-    // What they say of themselves was in the run's folder.
-    let unconfirmed =
-        if fleet.has_remote_robots { vec!["its robots on other machines".into()] } else { vec![] };
+    let unconfirmed = remote_robots(&fleet.runtime);
     StoppedFleet {
         run: fleet.folder.clone().unwrap_or_else(|| fleet.runtime.clone()),
         confirmed,
@@ -210,12 +217,17 @@ fn stop_lost(fleet: LostFleet) -> StoppedFleet {
 /// Stops the fleet of a folder in its bridge and on the disk.
 fn confirm(dir: PathBuf) -> StoppedFleet {
     let begun = crate::clock::now();
-    let ask = || match Run::open_running(&dir) {
-        Ok(run) => match why_unconfirmed(control::ask_again(&run, Request::Stop, PATIENCE)) {
-            None => Ok(unconfirmed_robots(&run, begun)),
-            Some(why) => Err(why),
-        },
-        Err(why) => Err(why.to_string()),
+    let ask = || {
+        let root = runtime_folder_of(&dir).map_err(|why| why.to_string())?;
+        if !has_launcher(&root).map_err(|why| why.to_string())? {
+            return Err(RunError::Ended(dir.clone()).to_string());
+        }
+        match (why_unconfirmed(control::ask_again_in(&root, Request::Stop, PATIENCE)), Run::open(&dir)) {
+            (Some(why), _) => Err(why),
+            (None, Ok(run)) => Ok(unconfirmed_robots(&run, begun)),
+            // The configuration may be another build's, which names the robots in another way.
+            (None, Err(_)) => Ok([remote_robots(&root), Vec::new()]),
+        }
     };
     // A bridge that does not answer now sets the stop when it goes on or is replaced.
     let path = stop_file(&dir);

@@ -1,7 +1,11 @@
 //! What came of a stop, for bridges that answer late and fleets of others.
 
 use super::*;
+use crate::config::FleetConfig;
+use crate::shared_memory::DomainGuard;
+use std::fs::Permissions;
 use std::io::{BufRead, BufReader, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::thread;
 
@@ -16,7 +20,7 @@ fn confirm_stop(mut stream: UnixStream) {
 }
 
 #[test]
-fn fleets_of_other_users_decide_nothing() {
+fn fleets_of_other_users_do_not_change_the_exit_code() {
     let other = |is_own| {
         StoppedFleet::from(OtherFleet { process: 7, user: "somebody".into(), is_own, run_dir: None })
     };
@@ -35,6 +39,47 @@ fn fleets_of_other_users_decide_nothing() {
         let failed = with(vec![own(false)]).unwrap_err();
         assert!(matches!(failed, PermissionError::NotStopped { failed: 1, all: 1 }), "{failed}");
     }
+}
+
+#[test]
+fn a_named_fleet_has_ended_only_if_that_is_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = Run::create(folder.path(), FleetConfig::default(), 0, false).unwrap();
+    let guard = DomainGuard::new(run.domain.clone());
+    let root = run.domain.root().to_owned();
+    assert_eq!(named(&run.dir).unwrap().runs, [run.dir.as_path()]);
+    // Others may write there, as if it were another user's.
+    std::fs::set_permissions(&root, Permissions::from_mode(0o777)).unwrap();
+    let why = PermissionError::from(named(&run.dir).unwrap_err());
+    assert!(matches!(why, PermissionError::Run(RunError::Trust(_))) && !why.is_nothing_to_stop(), "{why}");
+    assert!(!stop_file(&run.dir).exists(), "another user's fleet is not touched");
+    std::fs::set_permissions(&root, Permissions::from_mode(0o700)).unwrap();
+    let dir = run.dir.clone();
+    drop((guard, run));
+    assert!(matches!(named(&dir), Err(RunError::Ended(_))));
+}
+
+#[test]
+fn a_stop_reaches_a_fleet_whose_configuration_is_of_another_build() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = Run::create(folder.path(), FleetConfig::default(), 0, false).unwrap();
+    let _guard = DomainGuard::new(run.domain.clone());
+    std::fs::write(run.domain.root().join("build"), "0.0.9, layout 1").unwrap();
+    std::fs::write(run.dir.join("fleet.toml"), "[of_another_build]\nkey = 1\n").unwrap();
+    Run::open(&run.dir).unwrap_err();
+    let bridge = UnixListener::bind(control::socket(&run)).unwrap();
+    let fleet = thread::scope(|scope| {
+        scope.spawn(|| {
+            let (asked, _) = bridge.accept().unwrap();
+            read_request(&asked);
+            confirm_stop(asked);
+        });
+        let fleet = confirm(run.dir.clone());
+        // A bridge that nobody asked goes on, too.
+        let _ = UnixStream::connect(control::socket(&run));
+        fleet
+    });
+    assert!(!fleet.may_drive() && fleet.latched, "{}", fleet.line());
 }
 
 #[test]
