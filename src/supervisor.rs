@@ -6,6 +6,7 @@
 use crate::child_process::{describe_end, own_program, signal, spawn};
 use crate::clock::{RESTARTS_VARIABLE, now};
 use crate::emergency_stop_file::latch_stop;
+use crate::end_grace::{END_GRACE, EndGrace, WRITER_END_GRACE};
 use crate::fleet;
 use crate::process::control::saved_state::stop_file;
 use crate::processes::ProcessRow;
@@ -24,13 +25,8 @@ use std::net::TcpListener;
 use std::os::fd::OwnedFd;
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Child, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-/// How long a child may take to end when asked, before it is killed. The whole fleet ends within
-/// 5 s, of which the maps' writing takes some.
-const END_GRACE: Duration = Duration::from_secs(2);
-/// The same for the recorder and SLAM, which write what waits for a slow disk.
-const WRITER_END_GRACE: Duration = Duration::from_secs(20);
 /// Longest time until a process's first pass of its loop: it reads its room and its session.
 pub(crate) const START_MAX: Duration = Duration::from_secs(10);
 /// Longest time without a pass of a process's second thread, which computes for long.
@@ -294,34 +290,33 @@ impl Supervisor {
         self.members.iter().filter(|member| member.policy.is_failing(now())).map(Member::name).collect()
     }
 
-    /// Asks every child to end, kills those that do not, and removes the run's shared memory. A further request of `stop` after the one
-    /// that was noticed kills them at once. `tell` is called with what is waited for. Returns what is not saved.
+    /// Asks every child to end, kills those that do not, and removes the run's shared memory. A further request of `stop` leaves them
+    /// a short time. `tell` is called with what is waited for. Returns what is not saved.
     pub fn end(&mut self, stop: &Stop, tell: &mut dyn FnMut(String)) -> Vec<String> {
         let children = || self.members.iter().filter_map(|member| member.child.as_ref());
         children().for_each(|child| signal(child, Signal::TERM));
-        let (asked, mut lost) = (Instant::now(), Vec::new());
+        let (mut patience, mut lost) = (EndGrace::new(now()), Vec::new());
         for member in &mut self.members {
             let unsaved = unsaved_without_end(member.row.role);
             let grace = if unsaved.is_some() { WRITER_END_GRACE } else { END_GRACE };
             let name = member.name();
             let Some(child) = member.child.as_mut() else { continue };
             let mut is_told = false;
-            while matches!(child.try_wait(), Ok(None))
-                && asked.elapsed() < grace
-                && !stop.is_requested_again()
-            {
-                if asked.elapsed() >= END_GRACE && !std::mem::replace(&mut is_told, true) {
-                    tell(format!("ending: waiting for the {name}; Ctrl-C again kills it"));
+            while matches!(child.try_wait(), Ok(None)) && !patience.is_over(grace, now()) {
+                if stop.is_requested_again() {
+                    patience.hurry(now());
+                }
+                if patience.elapsed(now()) >= END_GRACE && !std::mem::replace(&mut is_told, true) {
+                    let short_s = END_GRACE.as_secs();
+                    tell(format!("ending: waiting for the {name}; Ctrl-C again kills it after {short_s} s"));
                 }
                 std::thread::sleep(Duration::from_millis(5));
             }
             let is_killed = matches!(child.try_wait(), Ok(None));
             if is_killed {
-                let why = if stop.is_requested_again() { ", as a second request asked" } else { "" };
-                let text = format!(
-                    "the {name} had not ended after {} s and was killed{why}",
-                    asked.elapsed().as_secs()
-                );
+                let why = if patience.is_hurried() { ", as a second request asked" } else { "" };
+                let elapsed_s = patience.elapsed(now()).as_secs();
+                let text = format!("the {name} had not ended after {elapsed_s} s and was killed{why}");
                 tell(text.clone());
                 lost.extend(unsaved.map(|unsaved| format!("{text}: {unsaved}")));
             }

@@ -20,6 +20,7 @@ pub mod watchdog;
 pub mod child_messages;
 pub mod child_process;
 pub mod emergency_stop_file;
+pub mod end_grace;
 mod file_lock;
 mod held_signals;
 pub mod job_thread;

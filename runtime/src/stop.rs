@@ -20,8 +20,10 @@ const WATCH_STACK_BYTES: usize = 64 << 10;
 pub struct Stop {
     /// Set by a request.
     request: Arc<AtomicBool>,
-    /// Set when a request was noticed, which tells a further one from it.
-    is_noticed: Arc<AtomicBool>,
+    /// Set by a request of a person, SIGINT.
+    interrupt: Arc<AtomicBool>,
+    /// Set when a request was acknowledged, which tells a further one from it.
+    is_acknowledged: Arc<AtomicBool>,
 }
 
 impl Stop {
@@ -29,6 +31,8 @@ impl Stop {
     /// as after `nohup`, it stays so.
     pub fn on_signals() -> std::io::Result<Self> {
         let stop = Self::default();
+        // Before the request, so that the interrupt that makes a request is known when that is acknowledged.
+        signal_hook::flag::register(SIGINT, stop.interrupt.clone())?;
         for signal in [SIGINT, SIGTERM, SIGHUP] {
             if signal != SIGHUP || !is_ignored(SIGHUP) {
                 signal_hook::flag::register(signal, stop.request.clone())?;
@@ -61,29 +65,30 @@ impl Stop {
         self.request.store(true, Ordering::Relaxed);
     }
 
-    /// Notices a request that has come, if one has. A further one is told from it from now on, so call it as soon as the process
-    /// begins to end.
-    pub fn notice(&self) {
-        if self.request.swap(false, Ordering::Relaxed) {
-            self.is_noticed.store(true, Ordering::Relaxed);
+    /// Acknowledges a request that has come, if one has. Later requests count as further ones.
+    pub fn acknowledge(&self) {
+        if self.request.swap(false, Ordering::SeqCst) {
+            self.interrupt.store(false, Ordering::SeqCst);
+            self.is_acknowledged.store(true, Ordering::SeqCst);
         }
     }
 
-    /// Returns whether a further request has come after one that was noticed. The first one may come late: it is noticed here.
+    /// Returns whether SIGINT has come after a request that was acknowledged. The first request may come late: it is acknowledged here.
+    /// A closed terminal and `timeout` send SIGHUP or SIGTERM several times, and mean one request.
     pub fn is_requested_again(&self) -> bool {
-        if self.is_noticed.load(Ordering::Relaxed) {
-            return self.request.load(Ordering::Relaxed);
+        if self.is_acknowledged.load(Ordering::SeqCst) {
+            return self.interrupt.load(Ordering::SeqCst);
         }
-        self.notice();
+        self.acknowledge();
         false
     }
 
     /// Returns whether the process should end.
     pub fn requested(&self) -> bool {
-        self.request.load(Ordering::Relaxed) || self.is_noticed.load(Ordering::Relaxed)
+        self.request.load(Ordering::Relaxed) || self.is_acknowledged.load(Ordering::Relaxed)
     }
 
-    /// Returns the flag of requests that were not noticed, for libraries that poll it.
+    /// Returns the flag of requests that were not acknowledged, for libraries that poll it.
     pub fn flag(&self) -> &AtomicBool {
         &self.request
     }
@@ -129,19 +134,33 @@ mod tests {
     }
 
     #[test]
-    fn a_second_request_is_told_from_the_first_whenever_that_is_noticed() {
-        for is_noticed_early in [true, false] {
-            let stop = Stop::default();
-            assert!(!stop.is_requested_again() && !stop.requested());
-            stop.request();
-            if is_noticed_early {
-                stop.notice();
+    fn an_interrupt_after_an_acknowledged_request_is_a_further_one_and_other_signals_are_not() {
+        let stop = Stop::on_signals().unwrap();
+        for first in [Signal::INT, Signal::TERM] {
+            for is_acknowledged_early in [true, false] {
+                // A request is acknowledged once: begin anew with the same signals.
+                for flag in [&stop.request, &stop.interrupt, &stop.is_acknowledged] {
+                    flag.store(false, Ordering::SeqCst);
+                }
+                assert!(!stop.is_requested_again() && !stop.requested());
+                raise(first);
+                if is_acknowledged_early {
+                    stop.acknowledge();
+                }
+                assert!(!stop.is_requested_again() && stop.requested());
+                for other in [Signal::TERM, Signal::HUP] {
+                    raise(other);
+                    stop.acknowledge();
+                    assert!(!stop.is_requested_again() && stop.requested(), "{other:?} after {first:?}");
+                }
+                raise(Signal::INT);
+                assert!(stop.clone().is_requested_again() && stop.requested());
             }
-            assert!(!stop.is_requested_again() && stop.requested());
-            stop.notice();
-            assert!(!stop.is_requested_again() && stop.requested(), "noticed once is enough");
-            stop.clone().request();
-            assert!(stop.is_requested_again() && stop.requested());
         }
+    }
+
+    /// Sends a signal to the calling thread, which handles it before it goes on.
+    fn raise(signal: Signal) {
+        nix::sys::signal::raise(nix::sys::signal::Signal::try_from(signal.as_raw()).unwrap()).unwrap();
     }
 }

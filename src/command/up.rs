@@ -356,7 +356,7 @@ fn watch(
         }
         std::thread::sleep(TEND_PERIOD);
     }
-    stop.notice();
+    stop.acknowledge();
     let operator = hooks.on_stop();
     std::thread::sleep(LAST_MAPS);
     observer.poll();
