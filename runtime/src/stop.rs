@@ -1,6 +1,7 @@
 //! Requests to end this process: SIGINT, SIGTERM, SIGHUP, or the death of the launcher.
 
 use rustix::event::{PollFd, PollFlags, poll};
+use rustix::io::Errno;
 use rustix::process::{Pid, PidfdFlags, Signal, getpid, getppid, kill_process, pidfd_open};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io;
@@ -41,21 +42,24 @@ impl Stop {
         Ok(stop)
     }
 
+    /// Creates a flag that signals and the death of the parent process set. How long this process takes to end is its own.
+    pub fn on_death_of(parent_pid: u32) -> std::io::Result<Self> {
+        let stop = Self::on_signals()?;
+        rustix::process::set_parent_process_death_signal(Some(Signal::TERM))?;
+        // The parent may have died before the line above.
+        if getppid() != Pid::from_raw(parent_pid as i32) {
+            stop.request();
+        }
+        Ok(stop)
+    }
+
     /// Creates a flag for a child of the launcher. It is set by signals and by the death of the launcher. A child that has not ended
     /// 30 s after that death hangs, and is killed: nobody else would.
     pub fn for_child(launcher_pid: u32) -> std::io::Result<Self> {
-        let stop = Self::on_signals()?;
-        rustix::process::set_parent_process_death_signal(Some(Signal::TERM))?;
-        let launcher = Pid::from_raw(launcher_pid as i32);
-        // Where the system has no such descriptors, a child that hangs stays.
-        if let Some(Ok(launcher)) = launcher.map(|pid| pidfd_open(pid, PidfdFlags::empty())) {
-            act_after_death(launcher, ORPHAN_GRACE, || {
-                let _ = kill_process(getpid(), Signal::KILL);
-            })?;
-        }
-        // The launcher may have died before the lines above.
-        if getppid() != launcher {
-            stop.request();
+        let stop = Self::on_death_of(launcher_pid)?;
+        // Where the system has no such descriptors, or no thread, a child that hangs stays.
+        if let Some(launcher) = Pid::from_raw(launcher_pid as i32) {
+            let _ = kill_after_death(launcher, getpid(), ORPHAN_GRACE);
         }
         Ok(stop)
     }
@@ -94,13 +98,25 @@ impl Stop {
     }
 }
 
-/// Starts a thread that acts some time after the death of a process.
+/// Starts a thread that kills a process some time after the death of another one.
+fn kill_after_death(of: Pid, victim: Pid, grace: Duration) -> io::Result<()> {
+    act_after_death(pidfd_open(of, PidfdFlags::empty())?, grace, move || {
+        let _ = kill_process(victim, Signal::KILL);
+    })
+}
+
+/// Starts a thread that acts some time after the death of a process. It does not act if it cannot wait for it.
 fn act_after_death(process: OwnedFd, grace: Duration, act: impl FnOnce() + Send + 'static) -> io::Result<()> {
     let wait = move || {
         // It becomes readable with the death; a signal may interrupt the wait.
-        while poll(&mut [PollFd::new(&process, PollFlags::IN)], None).is_err() {}
-        sleep(grace);
-        act();
+        let mut ended = Err(Errno::INTR);
+        while ended == Err(Errno::INTR) {
+            ended = poll(&mut [PollFd::new(&process, PollFlags::IN)], None);
+        }
+        if ended.is_ok() {
+            sleep(grace);
+            act();
+        }
     };
     Builder::new().name("launcher-watch".into()).stack_size(WATCH_STACK_BYTES).spawn(wait).map(drop)
 }
@@ -116,21 +132,48 @@ fn is_ignored(signal: i32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::process::{Command, Stdio};
-    use std::sync::mpsc::{TryRecvError, sync_channel};
+    use std::os::unix::process::ExitStatusExt;
+    use std::process::{Child, Command, Stdio};
+    use std::sync::mpsc::sync_channel;
+
+    /// Longest wait of a test for what must happen.
+    const WATCHDOG: Duration = Duration::from_secs(600);
+
+    /// Starts a process that ends with its input, and returns its id, too.
+    fn start() -> (Child, Pid) {
+        let process = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let pid = Pid::from_raw(process.id() as i32).unwrap();
+        (process, pid)
+    }
 
     #[test]
     fn an_action_waits_for_the_death_of_a_process() {
-        // It ends with its input.
-        let mut process = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
-        let pid = Pid::from_raw(process.id() as i32).unwrap();
+        let (mut process, pid) = start();
         let (sender, acted) = sync_channel(1);
         let descriptor = pidfd_open(pid, PidfdFlags::empty()).unwrap();
-        act_after_death(descriptor, Duration::ZERO, move || sender.send(()).unwrap()).unwrap();
-        assert_eq!(acted.try_recv(), Err(TryRecvError::Empty));
+        let may_end = Arc::new(AtomicBool::new(false));
+        let seen = may_end.clone();
+        let act = move || sender.send(seen.load(Ordering::SeqCst)).unwrap();
+        act_after_death(descriptor, Duration::ZERO, act).unwrap();
+        may_end.store(true, Ordering::SeqCst);
         drop(process.stdin.take());
-        assert_eq!(acted.recv_timeout(Duration::from_secs(600)), Ok(()));
+        assert_eq!(acted.recv_timeout(WATCHDOG), Ok(true), "it acts after the death");
         process.wait().unwrap();
+    }
+
+    #[test]
+    fn a_process_that_does_not_end_after_the_death_of_another_is_killed() {
+        let ((mut launcher, of), (mut child, victim)) = (start(), start());
+        kill_after_death(of, victim, Duration::ZERO).unwrap();
+        assert!(child.try_wait().unwrap().is_none(), "the launcher lives");
+        drop(launcher.stdin.take());
+        launcher.wait().unwrap();
+        let (sender, ended) = sync_channel(1);
+        // The input of a process ends with its wait.
+        let input = child.stdin.take();
+        std::thread::spawn(move || sender.send(child.wait().unwrap().signal()));
+        assert_eq!(ended.recv_timeout(WATCHDOG), Ok(Some(Signal::KILL.as_raw())));
+        drop(input);
     }
 
     #[test]

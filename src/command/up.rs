@@ -233,7 +233,7 @@ pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), Up
         // A session of its own: the end of the terminal does not reach it.
         rustix::process::setsid().map_err(std::io::Error::from)?;
     }
-    let stop = args.parent_pid.map_or_else(Stop::on_signals, Stop::for_child)?;
+    let stop = args.parent_pid.map_or_else(Stop::on_signals, Stop::on_death_of)?;
     run(args, hooks, &stop).map(drop)
 }
 
