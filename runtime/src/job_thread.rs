@@ -2,14 +2,19 @@
 //!
 //! A disk may not answer for seconds while others write much. A loop that sends velocities must not wait for it.
 
+use crate::progress::ProgressCounter;
 use crate::{realtime, time_slice};
 use std::io;
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 use tokio::sync::oneshot;
 
 /// Most jobs that wait for the thread; further ones are refused.
 const JOBS_MAX: usize = 8;
+
+/// Longest time after which a thread that is watched and has nothing to do says that it works.
+const PROGRESS_PERIOD: Duration = Duration::from_secs(1);
 
 /// Does jobs of one kind, and keeps what they need from one to the next.
 pub trait JobRunner: 'static {
@@ -17,6 +22,8 @@ pub trait JobRunner: 'static {
     const THREAD: &'static str = "files";
     /// Niceness of that thread (nice(2)): 0 is the priority of its process.
     const NICENESS: i32 = 0;
+    /// Whether jobs leave state, so that the process waits at its end until the last one is done.
+    const LEAVES_STATE: bool = true;
     /// Something to be done.
     type Job: Send + 'static;
     /// What came of a job.
@@ -44,10 +51,14 @@ impl<R: JobRunner> JobWorker<R::Job, R::Report> for ImmediateJobs<R> {
     }
 }
 
+/// A job, and where its report goes.
+type Submitted<J, R> = (J, oneshot::Sender<R>);
+
 /// A thread that does the jobs.
 pub struct JobThread<J, R> {
     /// `None` once the thread is to end.
-    jobs: Option<SyncSender<(J, oneshot::Sender<R>)>>,
+    jobs: Option<SyncSender<Submitted<J, R>>>,
+    /// `None` if nobody waits for its end.
     thread: Option<JoinHandle<()>>,
 }
 
@@ -56,19 +67,46 @@ impl<J: Send + 'static, R: Send + 'static> JobThread<J, R> {
     ///
     /// # Errors
     /// The system has no memory for a thread.
-    pub fn start<W: JobRunner<Job = J, Report = R> + Send>(mut runner: W) -> io::Result<Self> {
-        let (sender, jobs) = sync_channel::<(J, oneshot::Sender<R>)>(JOBS_MAX);
-        let thread = std::thread::Builder::new().name(W::THREAD.into()).spawn(move || {
-            time_slice::request_default();
-            if W::NICENESS != 0 {
-                realtime::lower_priority(W::NICENESS);
+    pub fn start<W: JobRunner<Job = J, Report = R> + Send>(runner: W) -> io::Result<Self> {
+        Self::start_with(runner, |jobs, do_job| jobs.into_iter().for_each(do_job))
+    }
+
+    /// Starts the thread, which the supervisor watches by `progress`: a job that hangs is noticed.
+    ///
+    /// # Errors
+    /// The system has no memory for a thread.
+    pub fn start_watched<W: JobRunner<Job = J, Report = R> + Send>(
+        runner: W,
+        mut progress: ProgressCounter,
+    ) -> io::Result<Self> {
+        Self::start_with(runner, move |jobs, do_job| {
+            loop {
+                progress.advance();
+                match jobs.recv_timeout(PROGRESS_PERIOD) {
+                    Ok(job) => do_job(job),
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => return,
+                }
             }
-            for (job, report) in jobs {
+        })
+    }
+
+    fn start_with<W: JobRunner<Job = J, Report = R> + Send>(
+        mut runner: W,
+        serve: impl FnOnce(Receiver<Submitted<J, R>>, &mut dyn FnMut(Submitted<J, R>)) + Send + 'static,
+    ) -> io::Result<Self> {
+        let (sender, jobs) = sync_channel(JOBS_MAX);
+        let thread = std::thread::Builder::new().name(W::THREAD.into()).spawn(move || {
+            match W::NICENESS {
+                0 => time_slice::request_default(),
+                niceness => realtime::work_in_background(niceness),
+            }
+            serve(jobs, &mut |(job, report)| {
                 // The sender of the job may have gone.
                 let _ = report.send(runner.run(&job));
-            }
+            });
         })?;
-        Ok(Self { jobs: Some(sender), thread: Some(thread) })
+        Ok(Self { jobs: Some(sender), thread: W::LEAVES_STATE.then_some(thread) })
     }
 }
 
@@ -84,7 +122,7 @@ impl<J, R> JobWorker<J, R> for JobThread<J, R> {
 }
 
 impl<J, R> Drop for JobThread<J, R> {
-    /// Waits until the last job is done: a process that ends leaves its state.
+    /// Waits until the last job is done where jobs leave state.
     fn drop(&mut self) {
         self.jobs = None;
         let _ = self.thread.take().map(JoinHandle::join);

@@ -221,6 +221,13 @@ pub fn lower_priority(niceness: i32) {
     let _ = rustix::process::nice(niceness);
 }
 
+/// Has the calling thread, which may have a real-time priority or a short time slice of its process, compute for long without keeping
+/// others from the processor. A niceness means nothing to a real-time thread.
+pub fn work_in_background(niceness: i32) {
+    time_slice::use_normal_policy();
+    lower_priority(niceness);
+}
+
 /// Lets the calling thread run only while its core has nothing else to do (`SCHED_IDLE`, sched(7)). It needs no permission, and cannot
 /// be undone without one.
 ///
@@ -270,5 +277,25 @@ mod tests {
         let outcomes = std::thread::spawn(move || config.apply(Role::Merge)).join().unwrap();
         assert_eq!(outcomes.len(), 1);
         assert!(outcomes[0].result.as_ref().unwrap_err().to_string().contains("these cores"), "{outcomes:?}");
+    }
+
+    #[test]
+    fn a_thread_in_the_background_has_no_realtime_priority_and_its_niceness() {
+        // The settings apply to a thread of its own, which ends with the test.
+        let background = std::thread::spawn(|| {
+            // It may be refused, which leaves the normal policy.
+            let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+            let lowest = ThreadPriority::Crossplatform(ThreadPriorityValue::try_from(1).unwrap());
+            let _ = set_thread_priority_and_policy(thread_native_id(), lowest, policy);
+            let before = rustix::process::getpriority_process(None).unwrap();
+            work_in_background(3);
+            // The C library remembers the policy that it has set itself; field 41 is the system's (proc_pid_stat(5)).
+            let stat = std::fs::read_to_string("/proc/thread-self/stat").unwrap();
+            let policy = stat.rsplit_once(')').unwrap().1.split_whitespace().nth(38).map(str::to_owned);
+            (policy, rustix::process::getpriority_process(None).unwrap() - before)
+        });
+        let (policy, more) = background.join().unwrap();
+        assert_eq!(policy.as_deref(), Some("0"), "SCHED_OTHER");
+        assert!((0..=3).contains(&more), "{more}");
     }
 }

@@ -38,13 +38,18 @@ struct Attributes {
 /// # Errors
 /// The thread has another policy than the normal ones, or the system refuses the call.
 pub fn request(slice: Duration) -> io::Result<()> {
-    set(slice.clamp(SLICE_MIN, SLICE_MAX).as_nanos() as u64)
+    set(slice.clamp(SLICE_MIN, SLICE_MAX).as_nanos() as u64, KEEP_POLICY)
 }
 
 /// Has the calling thread use the system's time slice again: for threads that compute for long and inherit a short one. A real-time
 /// thread stays as it is.
 pub fn request_default() {
-    let _ = set(0);
+    let _ = set(0, KEEP_POLICY);
+}
+
+/// Has the calling thread use the normal policy, with the system's time slice: for threads that inherit a real-time priority.
+pub fn use_normal_policy() {
+    let _ = set(0, 0);
 }
 
 /// Returns the calling thread's time slice; `None` if this Linux has none of its own for each thread.
@@ -63,10 +68,10 @@ pub fn granted() -> io::Result<Option<Duration>> {
     Ok((attributes.runtime_ns > 0).then(|| Duration::from_nanos(attributes.runtime_ns)))
 }
 
-fn set(runtime_ns: u64) -> io::Result<()> {
+fn set(runtime_ns: u64, flags: u64) -> io::Result<()> {
     let attributes = Attributes {
         size: size_of::<Attributes>() as u32,
-        flags: KEEP_POLICY,
+        flags,
         nice: getpriority_process(None)?,
         runtime_ns,
         ..Attributes::default()
