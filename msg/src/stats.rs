@@ -139,6 +139,8 @@ pub struct FleetStats {
     pub wall_thickness_m: f64,
     /// Time over which the robots' counts and distributions are counted, seconds: since telemetry was started last.
     pub counted_s: f64,
+    /// Age of the maps from which all that is said of maps was computed, seconds. NaN before the first.
+    pub maps_age_s: f64,
     /// Health of the processes in the launcher's order; unused entries have `health.role` 0.
     pub processes: [ProcessStats; PROCESSES_MAX],
 }

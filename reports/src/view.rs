@@ -11,7 +11,6 @@ pub use layout::{Emphasis, Style};
 pub use slam::{ClosureView, SlamView};
 
 use crate::BridgeState;
-
 use msg::{
     Distribution, FleetStats, MAP_OLD_AFTER_S, MergeEdges, Pose2, ProcessStats, RobotId, RobotStats, Role,
     TrackingState,
@@ -24,8 +23,11 @@ use serde::Serialize;
 pub struct FleetView {
     /// Time of the run: seconds since its start, or since 1970 if the world is not simulated here.
     pub time_s: f64,
-    /// Time over which scans, lost scans, jitter and latencies are counted, seconds: since telemetry was started last.
+    /// Time over which jitter, latencies and scans are counted, seconds: since telemetry was started last. Lost scans are, too, where
+    /// `scan_hz` is null; else they are of the whole run.
     pub counted_s: f64,
+    /// Age of the maps from which all that is said of maps was computed, seconds; `None`: there are no figures of maps yet.
+    pub maps_age_s: Option<f64>,
     /// Figures of each robot, robot1 first.
     pub robots: Vec<RobotView>,
     /// Figures of the merged map.
@@ -81,8 +83,7 @@ pub struct RobotView {
     pub scan_hz_last_second: f64,
     /// Scans that SLAM received in the time that is counted.
     pub scans: u64,
-    /// Scans that were sent and not received in the time that is counted, in a report over the whole run; `None`: not known, as
-    /// SLAM is on another machine.
+    /// Scans that were sent and not received; see `counted_s`. `None`: not known, as SLAM is on another machine.
     pub scans_lost: Option<u64>,
     /// Figures of the robot's own map.
     pub map: MapView,
@@ -236,6 +237,7 @@ impl FleetView {
         Self {
             time_s: stats.header.stamp.seconds(),
             counted_s: stats.counted_s,
+            maps_age_s: finite(stats.maps_age_s),
             robots: RobotId::first(count)
                 .map(|robot| RobotView::new(robot, &stats.robots[robot.index()]))
                 .collect(),

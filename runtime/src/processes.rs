@@ -77,7 +77,7 @@ pub static PROCESSES: [ProcessRow; 7] = [
         second_thread: Some("ROS 2"),
         ..OF_FLEET
     },
-    ProcessRow { role: Role::Telemetry, ..OF_FLEET },
+    ProcessRow { role: Role::Telemetry, second_thread: Some("maps"), ..OF_FLEET },
     ProcessRow { role: Role::Merge, second_thread: Some("pose graph"), ..OF_FLEET },
     ProcessRow { role: Role::Nav, ..OF_FLEET },
     ProcessRow {

@@ -256,7 +256,7 @@ impl Body {
             }
             Role::Telemetry => {
                 let worker = ImmediateJobs(MapWorker::new(run, cached_room_plan(&run.config)?)?);
-                Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run, worker)?))
+                Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run, worker, Duration::ZERO)?))
             }
             Role::Nav => {
                 let storage = world.storage.clone();

@@ -1,7 +1,8 @@
 //! The telemetry process, which reads all figures and publishes the fleet's statistics once a second.
 //!
 //! Its loop takes the time at which each message arrives, so it does nothing that takes long: the metrics of the maps are
-//! computed beside it ([`map_worker`]) and enter the statistics of the second in which they are ready.
+//! computed beside it ([`map_worker`]). They begin shortly before the statistics are due, and enter the next ones that are due when
+//! they are ready; `maps_age_s` says how old their maps are.
 
 pub mod map_worker;
 #[cfg(test)]
@@ -24,15 +25,19 @@ use msg::{
     FleetStats, GroundTruth, MapTransforms, Monotonic, PoseEstimate, ProcessHealth, RobotId, Role, TileMap,
     Transforms,
 };
+use std::time::Duration;
 
 /// Period of the figures, nanoseconds.
 const PERIOD_NS: u64 = 1_000_000_000;
+/// Time before the figures at which the maps for them are taken: most comparisons are done by then.
+const MAPS_LEAD: Duration = Duration::from_millis(200);
 
 /// Runs the process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let participant = run.attach(Role::Telemetry, None)?;
-    let worker = JobThread::start(MapWorker::with_room_in_background(run)?)?;
-    let mut process = TelemetryProcess::open(&participant, run, worker)?;
+    let progress = run.progress(Role::Telemetry, None, WatchedThread::Second);
+    let worker = JobThread::start_watched(MapWorker::with_room_in_background(run)?, progress)?;
+    let mut process = TelemetryProcess::open(&participant, run, worker, MAPS_LEAD)?;
     for (row, robot) in run.config.processes() {
         process.telemetry.expect_process(row.role, robot, now());
     }
@@ -50,11 +55,15 @@ pub struct TelemetryProcess<P: Ports, W> {
     clock: P::Clock,
     epoch: crate::clock::Epoch,
     due: Monotonic,
+    /// Time before `due` at which maps are taken, nanoseconds, and whether those for the next figures were.
+    maps_lead_ns: u64,
+    are_maps_taken: bool,
 }
 
 impl<P: Ports, W: JobWorker<MapChanges, MapFigures>> TelemetryProcess<P, W> {
-    /// Opens all channels; the first figures are due in a second. `map_worker` computes the metrics of the maps.
-    pub fn open(ports: &P, run: &Run, map_worker: W) -> Result<Self, Error> {
+    /// Opens all channels; the first figures are due in a second. `map_worker` computes the metrics of the maps, which it gets
+    /// `maps_lead` before the figures are due.
+    pub fn open(ports: &P, run: &Run, map_worker: W, maps_lead: Duration) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Telemetry, None)?;
         let starts = fleet::starts_in_room(&run.config)?;
         let clock = ports.clock();
@@ -71,7 +80,17 @@ impl<P: Ports, W: JobWorker<MapChanges, MapFigures>> TelemetryProcess<P, W> {
             due: Monotonic(clock.now().0 + PERIOD_NS),
             clock,
             epoch: run.epoch,
+            maps_lead_ns: maps_lead.as_nanos() as u64,
+            are_maps_taken: false,
         })
+    }
+}
+
+impl<P: Ports, W> TelemetryProcess<P, W> {
+    /// Returns when maps are to be taken for the figures, or when those are due if they were.
+    fn maps_due(&self) -> Monotonic {
+        let lead_ns = if self.are_maps_taken { 0 } else { self.maps_lead_ns };
+        Monotonic(self.due.0.saturating_sub(lead_ns))
     }
 }
 
@@ -79,16 +98,22 @@ impl<P: Ports, W: JobWorker<MapChanges, MapFigures>> ProcessLoop for TelemetryPr
     fn step(&mut self) -> Monotonic {
         let received = self.clock.now();
         self.inputs.receive_streams(&mut self.telemetry, received);
+        if !self.are_maps_taken && received >= self.maps_due() {
+            self.inputs.receive_states(&mut self.telemetry, received);
+            self.maps.hand_over(&mut self.telemetry, received, || self.inputs.take_map_changes());
+            self.are_maps_taken = true;
+        }
         if received >= self.due {
             self.inputs.receive_states(&mut self.telemetry, received);
-            self.maps.exchange(&mut self.telemetry, || self.inputs.take_map_changes());
+            self.maps.receive(&mut self.telemetry);
             let stamp = self.epoch.stamp(received);
             let stats = self.heartbeat.measure(|| self.telemetry.compute_stats(stamp, received));
             self.stats.send(stats);
             self.due = Monotonic((self.due.0 + PERIOD_NS).max(received.0));
+            self.are_maps_taken = false;
         }
         self.heartbeat.publish_if_due(HealthCounters::default);
-        self.due
+        self.maps_due()
     }
 }
 

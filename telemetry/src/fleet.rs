@@ -38,6 +38,8 @@ pub struct Telemetry {
     world_from_robot_map: Vec<Option<Pose2>>,
     map_transforms: MapTransforms,
     map_figures: MapFigures,
+    /// When the maps were taken from which these figures are; zero: there are none yet.
+    maps_taken: Monotonic,
     processes: ProcessTable,
     /// When counting began.
     begun: Monotonic,
@@ -58,6 +60,7 @@ impl Telemetry {
             world_from_robot_map,
             map_transforms: MapTransforms::default(),
             map_figures: MapFigures::default(),
+            maps_taken: Monotonic::default(),
             begun,
             are_lost_scans_known: true,
             stats: FleetStats::default(),
@@ -95,9 +98,9 @@ impl Telemetry {
         }
     }
 
-    /// Replaces the metrics of the maps.
-    pub fn set_map_figures(&mut self, map_figures: MapFigures) {
-        self.map_figures = map_figures;
+    /// Replaces the metrics of the maps by those of the maps at `taken`.
+    pub fn set_map_figures(&mut self, map_figures: MapFigures, taken: Monotonic) {
+        (self.map_figures, self.maps_taken) = (map_figures, taken);
     }
 
     /// Replaces the transforms of the robots' maps in the merged map.
@@ -119,7 +122,7 @@ impl Telemetry {
 
     /// Computes the statistics at `stamp` of the run's clock, which is `now` on the machine's.
     ///
-    /// The metrics of the maps in it are the newest that were set.
+    /// The metrics of the maps in it are the newest that were set; it says how old their maps are.
     pub fn compute_stats(&mut self, stamp: Stamp, now: Monotonic) -> &FleetStats {
         let MapFigures { robots: map_counts, merged_map, pairs, room_coverage, accuracy } = &self.map_figures;
         let world_from_map = world_from_map(&self.world_from_robot_map, &self.map_transforms);
@@ -141,6 +144,7 @@ impl Telemetry {
             room_to_map_m: accuracy.room_to_map_m,
             wall_thickness_m: accuracy.wall_thickness_m,
             counted_s: now.since(self.begun) as f64 * 1e-9,
+            maps_age_s: age_s(self.maps_taken, now),
             processes: self.processes.health(now),
             ..Default::default()
         };

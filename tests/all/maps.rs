@@ -169,7 +169,7 @@ fn statistics_published_maps_and_files_count_the_same_cells() {
     let mut metrics = telemetry::MapMetrics::new(1, None, &[]);
     metrics.update_merged_map(map);
     let mut telemetry = telemetry::Telemetry::new(1, &[], Monotonic(0));
-    telemetry.set_map_figures(metrics.compute());
+    telemetry.set_map_figures(metrics.compute(), Monotonic(0));
     let merged = telemetry.compute_stats(Stamp(0), Monotonic(1)).merged_map;
     let counted =
         [merged.unknown_cells, merged.free_cells, merged.occupied_cells].map(|count| count as usize);

@@ -9,6 +9,8 @@ use bridge::ClientStatus;
 const INDENT: usize = 9;
 /// Clients that the live table lists; `mr-slam status` lists all.
 const LIVE_CLIENTS_MAX: usize = 2;
+/// Age of maps above which tables say it: their figures come once a second.
+const MAPS_AGE_MAX_S: f64 = 3.0;
 
 const ROBOT_COLUMNS: [Column; 8] = [
     Column { heading: ["robot", ""], width: 8, is_left: true, drop_order: 0 },
@@ -72,17 +74,24 @@ impl FleetView {
         text
     }
 
-    /// Says since when figures are counted, if that is not the start of the run: telemetry was started again.
+    /// Says since when figures are counted, if that is not the start of the run: telemetry was started again. Rates and lost scans of
+    /// the whole run are not among them.
     pub fn counting_note(&self) -> Option<String> {
         let is_again = |process: &super::ProcessView| {
             process.process == msg::Role::Telemetry.name() && process.restarts > 0
         };
-        self.processes.iter().any(is_again).then(|| {
-            format!(
-                "jitter, latencies and counts are of the last {:.0} s: telemetry was started again",
-                self.counted_s
-            )
-        })
+        let is_of_run = self.robots.iter().any(|robot| robot.scan_hz.is_some());
+        let what = if is_of_run { "jitter and latencies" } else { "jitter, latencies and lost scans" };
+        self.processes
+            .iter()
+            .any(is_again)
+            .then(|| format!("{what} are of the last {:.0} s: telemetry was started again", self.counted_s))
+    }
+
+    /// Says how old the maps are of which figures are shown, if their comparison takes long.
+    fn maps_note(&self) -> Option<String> {
+        let age_s = self.maps_age_s.filter(|age_s| *age_s > MAPS_AGE_MAX_S)?;
+        Some(format!("coverage and comparisons are of maps that are {age_s:.0} s old"))
     }
 
     fn alarm_lines(&self, style: &Style) -> String {
@@ -96,6 +105,9 @@ impl FleetView {
         let mut text = table(&ROBOT_COLUMNS, &rows, style) + &self.name_line(style);
         if let Some(note) = self.counting_note() {
             text += &style.wrap(&format!("counted  {note}"), INDENT);
+        }
+        if let Some(note) = self.maps_note() {
+            text += &style.wrap(&format!("maps     {note}"), INDENT);
         }
         let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1}%", 100.0 * v));
         text += &style.wrap(
@@ -263,7 +275,22 @@ mod tests {
         assert!(!table(&stats).contains("started again"));
         stats.processes[0].restarts = 1;
         let text = table(&stats);
-        assert!(text.contains("of the last 42 s: telemetry was started again"), "{text}");
+        assert!(
+            text.contains("latencies and lost scans are of the last 42 s: telemetry was started again"),
+            "{text}"
+        );
+        let mut of_run = FleetView::new(&stats);
+        of_run.robots[0].scan_hz = Some(10.0);
+        let note = of_run.counting_note().unwrap();
+        assert!(
+            note.starts_with("jitter and latencies are of the last 42 s"),
+            "lost scans are of the run: {note}"
+        );
+        for (age_s, is_said) in [(f64::NAN, false), (1.2, false), (12.0, true)] {
+            stats.maps_age_s = age_s;
+            let text = table(&stats);
+            assert_eq!(text.contains("maps that are 12 s old"), is_said, "{text}");
+        }
         let json = serde_json::to_value(FleetView::new(&stats)).unwrap();
         assert!(json["robots"][0]["scans_lost"].is_null() && json["counted_s"] == 42.0, "{json}");
         stats.robots[0].scans_lost_unknown = 0;

@@ -7,11 +7,10 @@ use super::super::{Error, PLAN_RESOLUTION_M};
 use crate::config::{FleetConfig, RobotSource};
 use crate::fleet::{self, FleetError};
 use crate::job_thread::{JobRunner, JobWorker};
-use crate::realtime::lower_priority;
+use crate::realtime::work_in_background;
 use crate::run::Run;
-use crate::time_slice;
 use ::telemetry::{MapChanges, MapFigures, MapMetrics, Telemetry};
-use msg::Grid;
+use msg::{Grid, Monotonic};
 use std::sync::mpsc::{Receiver, sync_channel};
 use tokio::sync::oneshot::{self, error::TryRecvError};
 
@@ -45,6 +44,7 @@ impl MapWorker {
 impl JobRunner for MapWorker {
     const THREAD: &'static str = "maps";
     const NICENESS: i32 = NICENESS;
+    const LEAVES_STATE: bool = false;
     type Job = MapChanges;
     type Report = MapFigures;
 
@@ -58,39 +58,39 @@ impl JobRunner for MapWorker {
     }
 }
 
-/// Hands changed maps to the worker, and its figures to telemetry.
+/// Hands changed maps to the worker, and its figures to telemetry. Never waits.
 pub(super) struct MapHandover<W> {
     worker: W,
-    /// The job that is under way.
-    job: Option<oneshot::Receiver<MapFigures>>,
-    has_ended: bool,
+    /// The job that is under way, and when its maps were taken.
+    job: Option<(oneshot::Receiver<MapFigures>, Monotonic)>,
 }
 
 impl<W: JobWorker<MapChanges, MapFigures>> MapHandover<W> {
     pub(super) fn new(worker: W) -> Self {
-        Self { worker, job: None, has_ended: false }
+        Self { worker, job: None }
     }
 
-    /// Takes the figures that are ready, and hands over the `changes` if the worker is free. Never waits.
-    pub(super) fn exchange(&mut self, telemetry: &mut Telemetry, changes: impl FnOnce() -> MapChanges) {
+    /// Hands over the `changes` of the maps that are taken `now`, if the worker is free.
+    pub(super) fn hand_over(
+        &mut self,
+        telemetry: &mut Telemetry,
+        now: Monotonic,
+        changes: impl FnOnce() -> MapChanges,
+    ) {
         self.receive(telemetry);
-        if self.job.is_none() && !self.has_ended {
-            self.job = Some(self.worker.submit(changes()));
-            self.receive(telemetry);
+        if self.job.is_none() {
+            self.job = Some((self.worker.submit(changes()), now));
         }
     }
 
-    fn receive(&mut self, telemetry: &mut Telemetry) {
-        match self.job.as_mut().map(oneshot::Receiver::try_recv) {
-            None | Some(Err(TryRecvError::Empty)) => return,
-            Some(Ok(figures)) => telemetry.set_map_figures(figures),
-            Some(Err(TryRecvError::Closed)) => {
-                tracing::error!(
-                    "telemetry: the thread of the map metrics ended; they are unknown from now on"
-                );
-                telemetry.set_map_figures(MapFigures::default());
-                self.has_ended = true;
-            }
+    /// Takes the figures that are ready.
+    pub(super) fn receive(&mut self, telemetry: &mut Telemetry) {
+        let Some((report, taken)) = &mut self.job else { return };
+        match report.try_recv() {
+            Err(TryRecvError::Empty) => return,
+            Ok(figures) => telemetry.set_map_figures(figures, *taken),
+            // It was refused.
+            Err(TryRecvError::Closed) => {}
         }
         self.job = None;
     }
@@ -101,8 +101,7 @@ impl<W: JobWorker<MapChanges, MapFigures>> MapHandover<W> {
 fn draw_room_in_background(run: &Run) -> Option<Receiver<Grid>> {
     let (config, (sender, receiver)) = (run.config.clone(), sync_channel(1));
     let draw = move || {
-        time_slice::request_default();
-        lower_priority(NICENESS);
+        work_in_background(NICENESS);
         match room_plan(&config) {
             Ok(Some(plan)) => drop(sender.send(plan)),
             Ok(None) => {}

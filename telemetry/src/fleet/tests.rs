@@ -73,7 +73,7 @@ fn the_statistics_of_one_robot_are_those_of_its_messages() {
     }
     let mut metrics = MapMetrics::new(1, None, &[Some(start)]);
     metrics.update_map(robot(1), house().view());
-    telemetry.set_map_figures(metrics.compute());
+    telemetry.set_map_figures(metrics.compute(), Monotonic(1));
     let stats = *telemetry.compute_stats(Stamp(5_950 * MS as i64), Monotonic(0));
     let figures = &stats.robots[0];
     within(figures.scan_hz, 10.0, 1e-9);
@@ -90,12 +90,14 @@ fn the_statistics_of_one_robot_are_those_of_its_messages() {
 #[test]
 fn the_figures_say_over_what_time_they_are_counted_and_whether_lost_scans_are_known() {
     let mut telemetry = Telemetry::new(1, &[], Monotonic(5_000 * MS));
+    assert!(telemetry.compute_stats(Stamp(0), Monotonic(5_000 * MS)).maps_age_s.is_nan());
+    telemetry.set_map_figures(MapMetrics::new(1, None, &[]).compute(), Monotonic(4_000 * MS));
     for (seconds, is_unknown) in [(5, 0), (12, 0), (90, 1)] {
         if is_unknown == 1 {
             telemetry.set_lost_scans_unknown();
         }
         let stats = telemetry.compute_stats(Stamp(0), Monotonic(seconds * 1_000 * MS));
-        assert_eq!(stats.counted_s, (seconds - 5) as f64);
+        assert_eq!([stats.counted_s, stats.maps_age_s], [(seconds - 5) as f64, (seconds - 4) as f64]);
         assert_eq!(stats.robots[0].scans_lost_unknown, is_unknown);
     }
 }
@@ -139,12 +141,12 @@ fn maps_are_compared_once_their_transforms_are_known() {
     metrics.update_map_transforms(&map_transforms(2));
     metrics.update_merged_map(house().view());
     let mut telemetry = Telemetry::new(3, &[Some(Pose2::IDENTITY), None], Monotonic(0));
-    telemetry.set_map_figures(metrics.compute());
+    telemetry.set_map_figures(metrics.compute(), Monotonic(1));
     let stats = *telemetry.compute_stats(Stamp(0), Monotonic(0));
     assert_eq!((stats.robot_count, stats.pair_count), (3, 1));
     assert_eq!((stats.consistency, stats.occupied_f1, stats.room_coverage), (1.0, 1.0, 1.0));
     metrics.update_map_transforms(&map_transforms(3));
-    telemetry.set_map_figures(metrics.compute());
+    telemetry.set_map_figures(metrics.compute(), Monotonic(1));
     assert_eq!(telemetry.compute_stats(Stamp(0), Monotonic(0)).pair_count, 3);
 }
 
@@ -157,7 +159,7 @@ fn unknown_robots_and_malformed_maps_change_nothing() {
     let map = house();
     metrics.update_map(robot(1), GridView { header: &map.header, cells: &map.cells[1..] });
     metrics.update_merged_map(GridView { header: &map.header, cells: &[] });
-    telemetry.set_map_figures(metrics.compute());
+    telemetry.set_map_figures(metrics.compute(), Monotonic(0));
     telemetry.record_map_arrival(robot(2), Monotonic(0), Monotonic(0));
     telemetry.add_pose_estimate(robot(9), &PoseEstimate::default(), Monotonic(0));
     telemetry.add_process_health(
