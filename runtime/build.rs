@@ -1,10 +1,20 @@
-//! Gives the program a number of its channels' layout: a hash of the sources that define messages and channels.
+//! Gives the program a number of its channels' layout: a hash of the sources that define messages, channels, limits and names.
 
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-/// Sources of the messages' fields, of the channels' settings, and of the version of iceoryx2.
-const SOURCES: [&str; 4] = ["../msg/src", "src/channel", "src/channel.rs", "Cargo.toml"];
+/// Files, and folders with files, of the messages' fields, of the channels' settings, and of all else in shared memory.
+const SOURCES: [&str; 7] = [
+    "../msg/src",
+    "src/channel",
+    "src/channel.rs",
+    "src/shared_memory",
+    "src/shared_memory.rs",
+    "src/progress.rs",
+    "src/processes.rs",
+];
+/// File whose line on iceoryx2 has the version of the transport.
+const MANIFEST: &str = "Cargo.toml";
 
 fn main() -> io::Result<()> {
     let mut files = Vec::new();
@@ -13,7 +23,12 @@ fn main() -> io::Result<()> {
         collect(Path::new(source), &mut files)?;
     }
     files.sort();
-    let mut hash = FNV_OFFSET;
+    println!("cargo::rerun-if-changed={MANIFEST}");
+    let manifest = fs::read_to_string(MANIFEST)?;
+    let mut hash = manifest
+        .lines()
+        .filter(|line| line.starts_with("iceoryx2"))
+        .fold(FNV_OFFSET, |hash, line| fnv1a(hash, line.as_bytes()));
     for file in files {
         hash = fnv1a(hash, &fs::read(file)?);
     }
@@ -21,12 +36,12 @@ fn main() -> io::Result<()> {
     Ok(())
 }
 
-/// Adds a file, or all files below a folder.
+/// Adds a file, or all Rust files below a folder: an editor's backups say nothing of the program.
 fn collect(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
     if path.is_dir() {
         fs::read_dir(path)?.try_for_each(|entry| collect(&entry?.path(), files))
     } else {
-        files.push(path.into());
+        files.extend(path.extension().is_some_and(|extension| extension == "rs").then(|| path.into()));
         Ok(())
     }
 }

@@ -24,14 +24,19 @@ pub fn write(root: &Path) -> io::Result<()> {
 /// Compares this build with that of the fleet in a runtime folder.
 ///
 /// # Errors
-/// The fleet runs a build whose messages differ. A fleet that says nothing of its build is accepted.
+/// The fleet runs a build whose messages may differ, or its build cannot be read. A fleet without the file is accepted: it ends, or
+/// its program does not write one.
 pub fn check(root: &Path) -> Result<(), ChannelError> {
     match formats::limited::read_text(&root.join(FILE), FILE_BYTES_MAX) {
-        Ok(running) if running != OWN => {
+        Ok(running) if running == OWN => Ok(()),
+        Ok(running) => {
             let running = running.chars().filter(|letter| !letter.is_control()).collect();
             Err(ChannelError::OtherBuild { running, own: OWN })
         }
-        Ok(_) | Err(_) => Ok(()),
+        Err(why) if why.kind() == io::ErrorKind::NotFound => Ok(()),
+        Err(why) => {
+            Err(ChannelError::OtherBuild { running: format!("of an unknown build ({why})"), own: OWN })
+        }
     }
 }
 
@@ -48,5 +53,8 @@ mod tests {
         std::fs::write(folder.path().join(FILE), "0.0.9, layout 00\u{1b}[2J").unwrap();
         let said = check(folder.path()).unwrap_err().to_string();
         assert!(said.contains("0.0.9, layout 00[2J") && said.contains(OWN), "{said}");
+        std::fs::write(folder.path().join(FILE), [0xff; 4]).unwrap();
+        let said = check(folder.path()).unwrap_err().to_string();
+        assert!(said.contains("unknown build") && said.contains(OWN), "{said}");
     }
 }

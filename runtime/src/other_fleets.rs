@@ -39,8 +39,8 @@ impl fmt::Display for OtherFleet {
         let prefix = if *is_own { String::new() } else { format!("sudo -u '{user}' ") };
         write!(
             out,
-            "a fleet of user {user} runs (process {process}) that is not found from here; other tools reach it in the same way as \
-             `{prefix}mr-slam stop --run-dir {folder}`"
+            "a fleet of user {user} runs (process {process}) that this command cannot find; `{prefix}mr-slam stop --run-dir {folder}` \
+             stops it, and other tools take the same option"
         )
     }
 }

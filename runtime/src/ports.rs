@@ -26,9 +26,9 @@ pub enum ChannelError {
         /// The cause, as iceoryx2 names it.
         why: String,
     },
-    /// The fleet was started with another build of the program, whose messages differ.
+    /// The fleet was started with another build of the program, whose messages may differ.
     #[error(
-        "the fleet runs mr-slam {running}, and this is mr-slam {own}: their messages differ; use the program that started the \
+        "the fleet runs mr-slam {running}, and this is mr-slam {own}: their messages may differ; use the program that started the \
          fleet, or start the fleet again with this one"
     )]
     OtherBuild {

@@ -154,8 +154,9 @@ impl Paper {
     pub fn rows(&self) -> Vec<[String; 3]> {
         let no_data = || "no data".to_owned();
         let percent = |value: Option<f64>| value.map_or_else(no_data, |v| format!("{:.1} %", 100.0 * v));
-        let lost = self.scans_lost.map_or_else(|| "not known how many".to_owned(), |lost| lost.to_string());
-        let rate = self.scan_hz.map_or_else(no_data, |hz| format!("{hz:.2} Hz, {lost} lost"));
+        let lost =
+            self.scans_lost.map_or_else(|| "lost: not known".to_owned(), |lost| format!("{lost} lost"));
+        let rate = self.scan_hz.map_or_else(no_data, |hz| format!("{hz:.2} Hz, {lost}"));
         let merged = self.merged_m2.map_or_else(no_data, |m2| format!("{m2:.1} m2"));
         let rows = [
             ("duration", format!("{:.0} s", self.duration_s), ""),
