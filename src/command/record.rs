@@ -12,8 +12,6 @@ use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What a recording's file of numbers says until it has them.
-const NOT_ENDED: &str = "the recorder still records, or was killed: the messages were not counted";
 /// Recordings of one second that get names of their own.
 const NAMES_TRIED_MAX: u32 = 100;
 
@@ -100,9 +98,7 @@ fn reserve(path: &Path) -> Result<(PathBuf, PathBuf), Error> {
             Err(taken(path))
         }
         Ok(mut file) => {
-            // A recorder that is killed leaves it so.
-            let begun =
-                Summary { files: vec![path.to_owned()], ended: Some(NOT_ENDED.into()), ..Summary::default() };
+            let begun = Summary::begun(vec![path.to_owned()]);
             let written =
                 serde_json::to_vec_pretty(&begun).map_err(Into::into).and_then(|json| file.write_all(&json));
             match written {
@@ -142,7 +138,8 @@ impl Summary {
                 topic.bytes as f64 / 1e3
             );
         }
-        text += &format!("{} messages dropped, {} lost\n", self.dropped, self.lost);
+        let number = |count: Option<u64>| count.map_or_else(|| "not known".into(), |count| count.to_string());
+        text += &format!("messages dropped: {}, lost: {}\n", number(self.dropped), number(self.lost));
         for file in &self.files {
             text += &format!("{}\n", file.display());
         }
@@ -164,6 +161,7 @@ mod tests {
         let left: serde_json::Value = serde_json::from_slice(&std::fs::read(&numbers).unwrap()).unwrap();
         assert!(left["ended"].as_str().is_some_and(|why| why.contains("killed")), "{left}");
         assert_eq!(left["files"][0].as_str(), path.to_str());
+        assert!(left["dropped"].is_null() && left["lost"].is_null(), "not counted: {left}");
         // Another recorder of this moment, before either has written anything.
         let why = reserve(&path).unwrap_err().to_string();
         assert!(why.contains("a.json: exists already"), "{why}");

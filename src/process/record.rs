@@ -50,6 +50,8 @@ const NICE: i32 = 10;
 /// Bytes of messages that may wait. Above the first a thread of normal priority encodes, too: it is 1 s of 20 robots. Above the second
 /// messages are dropped: it is 10 s of 64 robots, for which a disk may be slow.
 const WAITING: WaitingLimits = WaitingLimits { help: 4 << 20, refuse: 128 << 20 };
+/// What a recording's file of numbers says until it has them.
+const NOT_ENDED: &str = "the recorder still records, or was killed: the messages were not counted";
 /// Folder of recordings below the run's folder.
 pub const FOLDER: &str = "recording";
 /// Name of the files of a run's recording, without extension.
@@ -80,15 +82,22 @@ pub struct Summary {
     pub earlier: Vec<PathBuf>,
     /// Number of messages of each topic, over all files.
     pub topics: Vec<TopicCount>,
-    /// Messages that were dropped because too much waited, or because the recording had ended.
-    pub dropped: u64,
-    /// Messages that were sent and not received in time.
-    pub lost: u64,
-    /// Reason why the recording ended before the fleet.
+    /// Messages that were dropped because too much waited, or because the recording had ended; `None`: not known.
+    pub dropped: Option<u64>,
+    /// Messages that were sent and not received in time; `None`: not known.
+    pub lost: Option<u64>,
+    /// Reason why the recording ended before the fleet, or why nothing was counted.
     pub ended: Option<String>,
     /// The same files and topics, as rosbag2 counts them.
     #[serde(skip)]
     pub bag: Bag,
+}
+
+impl Summary {
+    /// Returns the summary of a recording that begins: a recorder that is killed leaves it so.
+    pub fn begun(files: Vec<PathBuf>) -> Self {
+        Self { files, ended: Some(NOT_ENDED.into()), ..Self::default() }
+    }
 }
 
 /// Runs the process of a recorded fleet until it is asked to stop.
@@ -101,6 +110,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         &folder.join(STEM).with_extension("mcap"),
         run.config.recording.disk_free_bytes(),
     );
+    let numbers = folder.join(STEM).with_extension("json");
+    write_summary(&numbers, &Summary::begun(Vec::new()))?;
     let watch = OperatorWatch::start(run.clone(), stop.clone());
     let recording = Recording::open(&participant, run, files, encode_later, Some(watch))?;
     let heartbeat = Heartbeat::new(&participant, run, Role::Record, None)?;
@@ -109,7 +120,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let mut summary = process.recording.finish();
     // The folder may have held another run before.
     summary.earlier.retain(|path| !description::is_of_another_run(path, run));
-    write_summary(&folder.join(STEM).with_extension("json"), &summary)?;
+    write_summary(&numbers, &summary)?;
     let described = write_description(&summary.bag, &folder, &summary.earlier);
     // The launcher says that the recording is not whole.
     summary.ended.map_or(Ok(described?), |why| Err(why.into()))
@@ -272,7 +283,7 @@ impl<P: Ports> Recording<P> {
         let now = self.clock.now();
         self.inputs.end_map_periods();
         (0..PARTS).for_each(|part| self.receive(part, now));
-        let lost = self.inputs.lost();
+        let lost = Some(self.inputs.lost());
         let panicked =
             || Summary { ended: Some("the thread that writes panicked".into()), ..Summary::default() };
         Summary { lost, ..self.to.work.finish().map_or_else(panicked, Recorder::finish) }

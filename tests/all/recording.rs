@@ -76,7 +76,7 @@ fn a_recorded_run_is_the_run_and_its_replay_gives_the_same_maps() {
     assert_eq!(recorded_messages, messages, "recording changes nothing");
     assert_eq!(recorded_maps, maps);
     let summary = summary.unwrap();
-    assert_eq!((summary.dropped, summary.lost, &summary.ended), (0, 0, &None));
+    assert_eq!((summary.dropped, summary.lost, &summary.ended), (Some(0), Some(0), &None));
     let count = |topic: &str| summary.topics.iter().find(|count| count.topic == topic).unwrap().messages;
     assert!((145..=150).contains(&count("/robot1/scan")), "{}", count("/robot1/scan"));
     assert_eq!(count("/robot1/odom"), count("/robot1/odom_2d"));

@@ -91,7 +91,7 @@ fn each_message_of_a_recording_that_ends_is_in_a_file_or_dropped() {
             }
         });
         let messages = summary.topics.iter().map(|topic| topic.messages).sum::<u64>();
-        (messages, summary.dropped, summary.ended)
+        (messages, summary.dropped.unwrap(), summary.ended)
     };
     let (all, dropped, ended) = record("whole.mcap", None);
     assert_eq!((dropped, ended), (0, None));

@@ -245,8 +245,8 @@ impl FileTopics {
             files: written.files,
             earlier: written.earlier,
             topics: self.topics.iter().map(|topic| topic.total.clone()).collect(),
-            dropped: self.counts.dropped(),
-            lost: 0,
+            dropped: Some(self.counts.dropped()),
+            lost: None,
             ended: self.ended,
             bag: Bag { files: self.written, topics: self.topics.iter().map(bag_topic).collect() },
         }
