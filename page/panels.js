@@ -43,6 +43,7 @@ export const ROBOT_ROWS = [
   ["Lost", false, ({ figures }) => format(figures.scans_lost)],
   ["Counted", false, ({ figures }) => format(figures.counted_s, 0, " s")],
   ["Age", false, (robot, now) => format(robot.scanAge(now), 2, " s")],
+  ["Map age", false, ({ figures }) => format(figures.maps_age_s, 1, " s")],
   ["Known", false, ({ figures }) => format(figures.known_m2, 1, " m²")],
   ["Cover", false, ({ figures }) => percent(figures.coverage)],
   ["Map", false, ({ figures }) => figures.map_cells?.join(" × ") ?? "–"],

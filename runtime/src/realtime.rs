@@ -222,7 +222,7 @@ pub fn lower_priority(niceness: i32) {
 }
 
 /// Has the calling thread, which may have a real-time priority or a short time slice of its process, compute for long without keeping
-/// others from the processor. A niceness means nothing to a real-time thread.
+/// others from the processor. Niceness does not apply to a real-time thread.
 pub fn work_in_background(niceness: i32) {
     time_slice::use_normal_policy();
     lower_priority(niceness);

@@ -51,6 +51,10 @@ fn newest_text(path: &Path, topic: &str) -> Option<String> {
 fn ratings_of_workload_are_in_recording_and_report_and_an_attached_recording_leaves_its_counts() {
     let mut fleet = Fleet::start("up", &["--robots", "1", "--record", "--page", "0"]);
     fleet.until("figures", |view| view.robots[0].scans > 5);
+    let numbers = "recording/recording.json";
+    let begun = json(&fleet.folder.path().join(numbers));
+    let why = begun["ended"].as_str().unwrap_or_default();
+    assert!(why.contains("killed") && begun["dropped"].is_null() && begun["lost"].is_null(), "{begun:#}");
     let port = fleet.run.config.bridge.page.port;
     assert!(post(port, &ANSWER.replace("70", "71")).starts_with("HTTP/1.1 422 "));
     assert!(post(port, ANSWER).starts_with("HTTP/1.1 201 "));
@@ -66,6 +70,8 @@ fn ratings_of_workload_are_in_recording_and_report_and_an_attached_recording_lea
     assert!(!output_of(&mut command).status.success(), "nothing is overwritten");
     let ended = fleet.end(Signal::TERM);
     let dir = ended.folder.path();
+    let counts = json(&dir.join(numbers));
+    assert!(counts["ended"].is_null() && counts["dropped"].is_u64() && counts["lost"].is_u64(), "{counts:#}");
     let report = json(&dir.join("report.json"));
     assert_eq!(report["nasa_tlx"][0]["answer"]["mental_demand"], 70, "{:#}", report["nasa_tlx"]);
     let html = std::fs::read_to_string(dir.join("report.html")).unwrap();

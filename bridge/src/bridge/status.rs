@@ -65,6 +65,9 @@ pub(crate) struct RobotStatus {
     /// Time over which lost scans and the delays are counted, seconds: since telemetry was started last.
     #[serde(skip_serializing_if = "Option::is_none")]
     counted_s: Option<f64>,
+    /// Age of the maps from which figures of maps were computed, seconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    maps_age_s: Option<f64>,
     /// Known cells over all cells of its map, 0 to 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     coverage: Option<f64>,
@@ -143,6 +146,7 @@ fn robot_status(core: &Core, robot: RobotId, viewer: ClientId, now: Monotonic) -
         scan_hz: stats.map(|stats| stats.scan_hz),
         scans_lost: stats.filter(|stats| stats.scans_lost_unknown == 0).map(|stats| stats.scans_lost),
         counted_s: core.stats.get().map(|stats| stats.counted_s),
+        maps_age_s: core.stats.get().map(|stats| stats.maps_age_s).filter(|age_s| age_s.is_finite()),
         coverage: stats.map(|stats| stats.coverage).filter(|coverage| coverage.is_finite()),
         known_m2: stats.map(known_m2),
         map_cells: stats.map(|stats| [stats.width, stats.height]),
