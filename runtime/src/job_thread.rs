@@ -128,3 +128,57 @@ impl<J, R> Drop for JobThread<J, R> {
         let _ = self.thread.take().map(JoinHandle::join);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::progress::{ProgressBoard, WatchedThread};
+    use crate::shared_memory::Domain;
+
+    /// Longest wait of a test for what must happen.
+    const WATCHDOG: Duration = Duration::from_secs(600);
+
+    /// Jobs that say that they begin, and end when they are released.
+    struct HeldJobs {
+        begun: SyncSender<()>,
+        released: Receiver<()>,
+    }
+
+    impl JobRunner for HeldJobs {
+        const LEAVES_STATE: bool = false;
+        type Job = ();
+        type Report = ();
+
+        fn run(&mut self, (): &()) {
+            self.begun.send(()).unwrap();
+            // The test may have ended.
+            let _ = self.released.recv();
+        }
+    }
+
+    #[test]
+    fn a_thread_is_watched_and_nobody_waits_for_a_job_that_leaves_no_state() {
+        let folder = tempfile::tempdir().unwrap();
+        let domain = Domain::new(&format!("{}_jobs", std::process::id()), folder.path()).unwrap();
+        let mut board = ProgressBoard::create(&domain, 1).unwrap();
+        let ((begun, begins), (release, released)) = (sync_channel(1), sync_channel(1));
+        let progress = ProgressCounter::open(&domain, Some(0), WatchedThread::Second);
+        let mut jobs = JobThread::start_watched(HeldJobs { begun, released }, progress).unwrap();
+        let mut report = jobs.submit(());
+        begins.recv_timeout(WATCHDOG).unwrap();
+        board.read().unwrap();
+        let entry = board.entry(0, WatchedThread::Second);
+        assert!(entry.count > 0 && entry.thread > 0, "{entry:?}");
+        let (sender, dropped) = sync_channel(1);
+        std::thread::spawn(move || {
+            drop(jobs);
+            sender.send(())
+        });
+        dropped.recv_timeout(WATCHDOG).unwrap();
+        assert!(report.try_recv().is_err(), "the job is under way");
+        board.read().unwrap();
+        assert_eq!(board.entry(0, WatchedThread::Second), entry, "a job that hangs does not count on");
+        drop(release);
+        domain.remove();
+    }
+}
