@@ -14,7 +14,6 @@
 //!
 //! [`consistency`] and [`truth`] are the map metrics as plain functions, for reports and benches.
 
-mod cell_counts;
 pub mod consistency;
 mod distance;
 mod fleet;
@@ -24,6 +23,7 @@ mod map_metrics;
 mod merged;
 mod pairs;
 mod processes;
+mod received_map;
 mod robot;
 mod scans;
 pub mod truth;

@@ -1,10 +1,9 @@
 //! Metrics of the maps, which take long. They are apart from the counting of messages, which must not wait.
 
-use crate::cell_counts::count_cells;
 use crate::merged::MergedMap;
 use crate::pairs::{PairComparisons, PairMeans, PlacedMap};
+use crate::received_map::ReceivedMap;
 use crate::truth::{MapAccuracy, ObservableArea};
-use msg::grid::MAP_CELLS_MAX;
 use msg::{DenseMap, Grid, GridView, MapTransforms, Pose2, ROBOTS_MAX, RobotId, RobotStats, TileMap};
 
 /// What has changed since the metrics were computed last.
@@ -54,10 +53,7 @@ impl MapFigures {
 #[derive(Default)]
 struct RobotMap {
     dense: DenseMap,
-    grid: Grid,
-    /// Counts the maps received.
-    version: u64,
-    counts: RobotStats,
+    map: ReceivedMap,
 }
 
 /// The newest maps of a fleet, their comparisons with each other, and with the room where that is known.
@@ -107,13 +103,13 @@ impl MapMetrics {
     /// Replaces a robot's map. A malformed one is ignored, and one of a robot that the fleet does not have.
     pub fn update_map(&mut self, robot: RobotId, map: GridView<'_>) {
         if let Some(robot) = self.robots.get_mut(robot.index()) {
-            robot.update(map);
+            robot.map.update(map);
         }
     }
 
     /// Replaces the merged map. A malformed one is ignored.
     pub fn update_merged_map(&mut self, map: GridView<'_>) {
-        self.merged.update(map);
+        self.merged.map.update(map);
     }
 
     /// Replaces the transforms of the robots' maps in the merged map.
@@ -126,13 +122,11 @@ impl MapMetrics {
         self.map_transforms = changes.map_transforms;
         for (robot, map) in &changes.robots {
             if let Some(robot) = self.robots.get_mut(robot.index()) {
-                let mut dense = std::mem::take(&mut robot.dense);
-                robot.update(dense.update(map));
-                robot.dense = dense;
+                robot.map.update(robot.dense.update(map));
             }
         }
         if let Some(map) = &changes.merged {
-            self.merged.update(self.merged_dense.update(map));
+            self.merged.map.update(self.merged_dense.update(map));
         }
     }
 
@@ -142,11 +136,11 @@ impl MapMetrics {
         let world_from_map = world_from_map(&self.world_from_robot_map, &self.map_transforms);
         let mut robots = [RobotStats::default(); ROBOTS_MAX];
         for (counts, robot) in robots.iter_mut().zip(&self.robots) {
-            *counts = robot.counts;
+            *counts = robot.map.counts;
         }
         MapFigures {
             robots,
-            merged_map: self.merged.counts(),
+            merged_map: self.merged.map.counts,
             pairs: self.pairs.means(),
             accuracy: self.merged.accuracy(self.room.as_ref(), world_from_map),
             room_coverage: self.merged.room_coverage(self.room.as_ref(), world_from_map),
@@ -158,28 +152,13 @@ impl MapMetrics {
         let maps = self.robots.iter().enumerate();
         let maps: Vec<_> = maps
             .map(|(index, robot)| PlacedMap {
-                grid: &robot.grid,
-                version: robot.version,
+                grid: &robot.map.grid,
+                version: robot.map.version,
                 map_from_robot_map: known_transform(&self.map_transforms, index),
             })
             .collect();
         self.pairs.refresh(&maps);
         self.pairs.draw_null(&maps);
-    }
-}
-
-impl RobotMap {
-    /// Replaces the map; a malformed one is ignored.
-    fn update(&mut self, map: GridView<'_>) {
-        let valid = GridView::new(map.header, map.cells).is_some() && map.cells.len() <= MAP_CELLS_MAX;
-        if !valid {
-            return;
-        }
-        self.grid.header = *map.header;
-        self.grid.cells.clear();
-        self.grid.cells.extend_from_slice(map.cells);
-        self.counts = count_cells(map);
-        self.version += 1;
     }
 }
 

@@ -1,21 +1,18 @@
 //! The merged map, and its comparison with the room where that is known (simulation only).
 
-use crate::cell_counts::count_cells;
+use crate::received_map::ReceivedMap;
 use crate::truth::{MapAccuracy, ObservableArea};
-use msg::{Grid, GridView, Pose2, RobotStats};
+use msg::Pose2;
 
 /// Calls between two comparisons of the walls with the room's: at a call a second, every five seconds.
 const CALLS_BETWEEN_COMPARISONS: usize = 5;
 /// Cells of the map for which one call is added: a comparison takes about 40 ms for a million cells.
 const CELLS_PER_EXTRA_CALL: usize = 100_000;
 
-/// The newest merged map, its cell counts, and its accuracy against the room.
+/// The newest merged map, and its accuracy against the room.
 #[derive(Default)]
 pub(crate) struct MergedMap {
-    grid: Grid,
-    counts: RobotStats,
-    /// Counts the maps received.
-    version: u64,
+    pub map: ReceivedMap,
     /// Version, transform and result of the newest room coverage.
     room_coverage: Option<(u64, Pose2, f64)>,
     accuracy: Option<MapAccuracy>,
@@ -24,23 +21,6 @@ pub(crate) struct MergedMap {
 }
 
 impl MergedMap {
-    /// Replaces the map; a malformed one is ignored.
-    pub fn update(&mut self, map: GridView<'_>) {
-        if GridView::new(map.header, map.cells).is_none() {
-            return;
-        }
-        self.grid.header = *map.header;
-        self.grid.cells.clear();
-        self.grid.cells.extend_from_slice(map.cells);
-        self.counts = count_cells(map);
-        self.version += 1;
-    }
-
-    /// Cell counts and coverage of the map's own rectangle.
-    pub fn counts(&self) -> RobotStats {
-        self.counts
-    }
-
     /// Errors of the map's walls against the room, computed now and then. NaN where the room or the transform is
     /// unknown.
     pub fn accuracy(&mut self, room: Option<&ObservableArea>, world_from_map: Option<Pose2>) -> MapAccuracy {
@@ -49,9 +29,9 @@ impl MergedMap {
             return MapAccuracy::UNKNOWN;
         };
         self.accuracy_age += 1;
-        let due = CALLS_BETWEEN_COMPARISONS + self.grid.cells.len() / CELLS_PER_EXTRA_CALL;
-        if self.version > 0 && (self.accuracy.is_none() || self.accuracy_age >= due) {
-            self.accuracy = Some(room.compare(self.grid.view(), world_from_map));
+        let due = CALLS_BETWEEN_COMPARISONS + self.map.grid.cells.len() / CELLS_PER_EXTRA_CALL;
+        if self.map.version > 0 && (self.accuracy.is_none() || self.accuracy_age >= due) {
+            self.accuracy = Some(room.compare(self.map.grid.view(), world_from_map));
             self.accuracy_age = 0;
         }
         self.accuracy.unwrap_or(MapAccuracy::UNKNOWN)
@@ -63,13 +43,13 @@ impl MergedMap {
         let (Some(room), Some(world_from_map)) = (room, world_from_map) else { return f64::NAN };
         match self.room_coverage {
             Some((version, transform, coverage))
-                if version == self.version && transform == world_from_map =>
+                if version == self.map.version && transform == world_from_map =>
             {
                 coverage
             }
             _ => {
-                let coverage = room.room_coverage(self.grid.view(), world_from_map);
-                self.room_coverage = Some((self.version, world_from_map, coverage));
+                let coverage = room.room_coverage(self.map.grid.view(), world_from_map);
+                self.room_coverage = Some((self.map.version, world_from_map, coverage));
                 coverage
             }
         }
