@@ -143,6 +143,22 @@ fn a_robot_that_may_have_been_carried_along_a_corridor_says_so() {
 }
 
 #[test]
+fn scans_after_a_pause_are_not_placed_by_the_node_before_it() {
+    // A person may have put the robot down farther on in a corridor.
+    for carried_m in [-2.0, 0.0, 2.0] {
+        let mut drive = Drive::new(corridor(), FULL, Pose2::IDENTITY);
+        drive.drive(&[(0.15, 0.0, 6.0)]);
+        let nodes = drive.slam.back().nodes().len();
+        let Pose2 { x_m, y_m, yaw_rad } = drive.robot.world_from_base;
+        drive.carry_to(Pose2::new(x_m + carried_m, y_m, yaw_rad));
+        drive.drive(&[(0.0, 0.0, 1.0)]);
+        let after: Vec<bool> =
+            drive.slam.back().nodes()[nodes..].iter().map(|node| node.possibly_kidnapped).collect();
+        assert_eq!(after, [true], "the first scan becomes a node, and the others no further ones");
+    }
+}
+
+#[test]
 fn a_robot_that_stood_in_a_room_without_data_knows_its_place() {
     for lidar in [FULL, HALF, NARROW] {
         let [paused, went_on] = [true, false].map(|pauses| {

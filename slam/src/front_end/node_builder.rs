@@ -49,7 +49,8 @@ impl NodeBuilder {
     }
 
     /// Whether a scan with `points` surface points becomes a reference and a node: after enough motion since the
-    /// `newest` reference, on request, or when several scans in a row have not fitted.
+    /// `newest` reference, on request, or when several scans in a row have not fitted. Where the robot may have been kidnapped, the first scan
+    /// that fits does: scans are given relative to the node before them, and this one says nothing of where they are.
     pub fn is_due(
         &mut self,
         pose: &TrackedPose,
@@ -72,7 +73,8 @@ impl NodeBuilder {
         let moved = newest.local_from_base.between(pose.local_from_base);
         let far = moved.x_m.hypot(moved.y_m) >= config.node_distance_m
             || moved.yaw_rad.abs() >= config.node_turn_rad;
-        core::mem::take(&mut self.requested) || far || self.unmeasured_s > UNMEASURED_MAX_S
+        let is_far = far || self.unmeasured_s > UNMEASURED_MAX_S;
+        core::mem::take(&mut self.requested) || is_far || self.possibly_kidnapped
     }
 
     /// Completes a node that goes to the back end. `keep_path`: whether the robot's footprint and path are known.
