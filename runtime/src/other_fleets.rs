@@ -47,7 +47,7 @@ impl fmt::Display for OtherFleet {
 
 /// Lists the fleets of this machine that run, without those whose runtime folders `find` finds; returns both.
 ///
-/// A fleet has its runtime folder before it has a name in shared memory, so one that starts meanwhile is found or in no list.
+/// A fleet has its runtime folder before it has a name in shared memory, so one that starts meanwhile is found, or not listed.
 pub fn other_fleets(find: impl FnOnce() -> Vec<PathBuf>) -> (Vec<PathBuf>, Vec<OtherFleet>) {
     list(Path::new(SHARED_MEMORY), Path::new("/proc"), find)
 }

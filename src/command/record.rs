@@ -8,7 +8,7 @@ use crate::run::Run;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
 use std::fs::File;
-use std::io::{self, Write as _};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -97,18 +97,13 @@ fn reserve(path: &Path) -> Result<(PathBuf, PathBuf), Error> {
             let _ = std::fs::remove_file(&summary_path);
             Err(taken(path))
         }
-        Ok(mut file) => {
-            let begun = Summary::begun(vec![path.to_owned()]);
-            let written =
-                serde_json::to_vec_pretty(&begun).map_err(Into::into).and_then(|json| file.write_all(&json));
-            match written {
-                Ok(()) => Ok((path.to_owned(), summary_path)),
-                Err(why) => {
-                    let _ = std::fs::remove_file(&summary_path);
-                    Err(format!("cannot write {}: {why}", summary_path.display()).into())
-                }
+        Ok(_) => match write_summary(&summary_path, &Summary::begun(vec![path.to_owned()])) {
+            Ok(()) => Ok((path.to_owned(), summary_path)),
+            Err(why) => {
+                let _ = std::fs::remove_file(&summary_path);
+                Err(why.into())
             }
-        }
+        },
         Err(why) if why.kind() == io::ErrorKind::AlreadyExists => Err(taken(&summary_path)),
         Err(why) => Err(format!("cannot write {}: {why}", summary_path.display()).into()),
     }

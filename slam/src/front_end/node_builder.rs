@@ -73,8 +73,8 @@ impl NodeBuilder {
         let moved = newest.local_from_base.between(pose.local_from_base);
         let far = moved.x_m.hypot(moved.y_m) >= config.node_distance_m
             || moved.yaw_rad.abs() >= config.node_turn_rad;
-        let is_far = far || self.unmeasured_s > UNMEASURED_MAX_S;
-        core::mem::take(&mut self.requested) || is_far || self.possibly_kidnapped
+        let requested = core::mem::take(&mut self.requested);
+        requested || far || self.unmeasured_s > UNMEASURED_MAX_S || self.possibly_kidnapped
     }
 
     /// Completes a node that goes to the back end. `keep_path`: whether the robot's footprint and path are known.
