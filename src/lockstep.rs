@@ -75,6 +75,8 @@ pub struct Lockstep {
     known: Vec<Option<Pose2>>,
     /// Known cells in each robot's session when its SLAM was killed last.
     saved: Vec<usize>,
+    /// When a person last reset a robot's map.
+    reset_at: Option<Monotonic>,
 }
 
 impl Lockstep {
@@ -150,6 +152,7 @@ impl Lockstep {
             selected: None,
             violations: Vec::new(),
             saved: vec![0; config.fleet.robots],
+            reset_at: None,
             world: World { run, network, storage, port, recording: None, sends_transforms: false },
         })
     }

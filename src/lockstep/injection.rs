@@ -73,8 +73,7 @@ impl Lockstep {
             Fault::Kill(chosen) => self.kill(self.member_index(chosen)),
             Fault::Freeze(chosen, duration) => {
                 let index = self.member_index(chosen);
-                let from = self.members[index].ran_until(now);
-                (self.members[index].frozen_from, self.members[index].frozen_until) = (from, now + duration);
+                self.members[index].frozen_until = now + duration;
             }
             Fault::ClockStep(duration) => self.world.network.clock().set(now + duration),
             Fault::LetGo(duration) => self.people.operator.idle_until = now + duration,
@@ -92,6 +91,7 @@ impl Lockstep {
             Fault::ResetMap(chosen) => {
                 let Some(robot) = robot(chosen) else { return };
                 self.saved[robot.index()] = 0;
+                self.reset_at = Some(now);
                 self.request(robot, SlamRequestKind::Reset);
             }
             Fault::Pause(chosen, duration) => {
@@ -112,8 +112,8 @@ impl Lockstep {
         self.observer.poll();
         self.record_saved_map(index);
         if let Some(process) = self.members[index].bridge() {
-            // A disk that was full while the bridge ran keeps the selection from outliving it.
-            let is_full = self.world.network.faults().is_disk_full(self.members[index].ran_until(now));
+            // A disk that was full when the bridge took its last step keeps the selection from outliving it.
+            let is_full = self.world.network.faults().is_disk_full(self.members[index].stepped_at);
             self.selected = (!is_full).then(|| process.bridge.selected_robot());
             self.world.network.record_event("bridge_died");
         }

@@ -7,7 +7,7 @@ use super::room_plan::cached_room_plan;
 use super::tcp::{BridgeServer, Port};
 use crate::channel::Opener;
 use crate::job_thread::ImmediateJobs;
-use crate::ports::Clock;
+use crate::ports::{Clock, Ports as _};
 use crate::process::bridge::BridgeProcess;
 use crate::process::control::files::ImmediateFiles;
 use crate::process::graph_worker::GraphWorker;
@@ -59,8 +59,8 @@ pub struct Member {
     pub policy: RestartPolicy,
     /// It is stopped until then.
     pub frozen_until: Monotonic,
-    /// When it was stopped last.
-    pub frozen_from: Monotonic,
+    /// When it took its last step: what it is to save can be in its files since then.
+    pub stepped_at: Monotonic,
     /// Moment before which a killed process is not back, though it is started at once.
     back_at: Monotonic,
     /// Its threads, while it runs.
@@ -100,11 +100,6 @@ pub struct SlamBody {
 }
 
 impl Member {
-    /// Until when it has run: until now, or until it was stopped.
-    pub fn ran_until(&self, now: Monotonic) -> Monotonic {
-        if self.frozen_until > now { self.frozen_from } else { now }
-    }
-
     /// Creates a process that is to be started now.
     pub fn new(row: &'static ProcessRow, robot: Option<RobotId>) -> Self {
         Self {
@@ -112,7 +107,7 @@ impl Member {
             robot,
             policy: RestartPolicy::new(Monotonic(0)),
             frozen_until: Monotonic(0),
-            frozen_from: Monotonic(0),
+            stepped_at: Monotonic(0),
             back_at: Monotonic(0),
             threads: Vec::new(),
             body: None,
@@ -206,6 +201,7 @@ impl Member {
     pub fn step(&mut self, thread: usize) {
         let Some(body) = &mut self.body else { return };
         self.passes += u64::from(thread == 0);
+        self.stepped_at = self.threads[thread].ports.clock().now();
         self.threads[thread].ports.take_notifications();
         self.threads[thread].due = match (body, thread) {
             (Body::Sim(simulation), _) => simulation.step(),

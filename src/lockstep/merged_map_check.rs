@@ -21,6 +21,8 @@ pub struct MergedMapCheck {
     merged_robots: Vec<usize>,
     /// Known cells of each robot's map when merging last worked, then of the merged map when it died.
     before: Option<Vec<usize>>,
+    /// When merging died.
+    died_at: Monotonic,
     /// Until when the maps are compared, once merging runs again.
     until: Option<Monotonic>,
     counts: CellCounts,
@@ -55,7 +57,9 @@ impl MergedMapCheck {
             // What a full disk kept from being written cannot be continued.
             let mut known = self.counts.update(fleet);
             known[..self.merged_robots.len()].copy_from_slice(&self.merged_robots);
-            self.before = self.before.take().or_else(|| are_written(fleet, &known).then_some(known));
+            if self.before.is_none() && are_written(fleet, &known) {
+                (self.before, self.died_at) = (Some(known), now);
+            }
             self.until = None;
             return None;
         }
@@ -72,7 +76,9 @@ impl MergedMapCheck {
         let is_smaller = |(now, before): (&usize, &usize)| (*now as f64) < KNOWN_SHARE_MIN * *before as f64;
         let ((merged, robots), (merged_before, robots_before)) = (known.split_last()?, before.split_last()?);
         // A robot whose own map was begun anew makes the merged map smaller, also for a while after its own has grown.
-        let is_begun_anew = robots.iter().zip(robots_before).any(is_smaller);
+        // Merging may have the new map before the observer, whose messages are lost or late on their own.
+        let is_reset = fleet.reset_at.is_some_and(|at| at + CHECKED >= self.died_at);
+        let is_begun_anew = is_reset || robots.iter().zip(robots_before).any(is_smaller);
         let violation = (!is_begun_anew && is_smaller((merged, merged_before))).then(|| {
             format!(
                 "the merged map has {merged} known cells after a start of merging at {now:?}, {merged_before} before"

@@ -6,7 +6,8 @@
 //! reads as lost, until a closure or a search of the whole map connects it. If that closure is
 //! undone or retracted, the component is unplaced again.
 //!
-//! The map is the largest component, so a robot that never returns ends up with a new map.
+//! The map is the largest component, so a robot that never returns ends up with a new map. While a component is small, it must be
+//! twice as large as an older one: a lost robot that stands would lose its map by one scan more.
 
 use super::links::is_well_constrained;
 use super::{BREAK_SIGMAS, BREAK_VARIANCES, BackEnd};
@@ -20,6 +21,8 @@ const COMPARED_NODES: usize = 8;
 /// If more than this share of the compared points is contradicted, and this many points, the edge becomes an odometry break.
 const BREAK_SHARE: f32 = 0.3;
 const BREAK_POINTS_MIN: usize = 60;
+/// A component of fewer nodes than this is the map only if it has twice as many as each older one.
+const SMALL_COMPONENT_NODES: usize = 20;
 /// A path shorter than this has not drifted by what counts as a contradiction, metres.
 const STRAIGHT_M: f64 = 20.0;
 
@@ -133,9 +136,9 @@ impl BackEnd {
             parent[id as usize] = first(&mut parent, id);
             sizes[parent[id as usize] as usize] += 1;
         }
-        let largest = (0..sizes.len()).max_by_key(|&id| (sizes[id], core::cmp::Reverse(id)));
+        let map = map_component(&sizes);
         for (node, component) in self.nodes.iter_mut().zip(parent) {
-            node.disconnected_component = Some(component).filter(|first| Some(*first as usize) != largest);
+            node.disconnected_component = Some(component).filter(|first| *first as usize != map);
         }
     }
 
@@ -155,6 +158,43 @@ impl BackEnd {
         };
         for node in self.nodes.iter().filter(|node| node.disconnected_component == moves) {
             self.graph.move_node(node.id, shift);
+        }
+    }
+}
+
+/// Returns the first node of the component that is the map. `sizes`: number of nodes of each component at its first node, zero elsewhere.
+fn map_component(sizes: &[usize]) -> usize {
+    let mut map = 0;
+    for (first, &size) in sizes.iter().enumerate() {
+        let needed = if size < SMALL_COMPONENT_NODES { 2 * sizes[map] } else { sizes[map] };
+        if size > needed {
+            map = first;
+        }
+    }
+    map
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_small_component_of_a_lost_robot_is_not_the_map_for_one_node_more() {
+        assert_eq!(map_component(&[4, 0, 0, 0, 5]), 0);
+        assert_eq!(map_component(&[4, 0, 0, 0, 9]), 4, "a robot that never returns has a new map");
+    }
+
+    proptest! {
+        #[test]
+        fn the_map_is_the_largest_component_once_that_is_not_small(
+            sizes in proptest::collection::vec(1..60_usize, 1..6)
+        ) {
+            let map = map_component(&sizes);
+            let largest = sizes.iter().copied().max().unwrap_or_default();
+            prop_assert!(largest < SMALL_COMPONENT_NODES || sizes[map] == largest);
+            prop_assert!(sizes[..map].iter().all(|older| *older < sizes[map]), "the older of two equal ones");
+            prop_assert!(largest <= 2 * sizes[map]);
         }
     }
 }
