@@ -57,6 +57,7 @@ export function attentionOf(fleet, now, isConnected) {
     const places = `${edge.contradicted_submaps} of ${edge.compared_submaps} places`;
     items.push({ rank: 2, robot, text: `its map and that of ${other} contradict each other in ${places}: one is deformed, or lies wrong`, key: `bent ${robot} ${other}` });
   }
+  if (fleet.areEdgesUnsaved) addOfFleet(4, "edges unsaved", "merging cannot save its state: what is pinned or undone is lost when it is started again");
   for (const robot of fleet.contradictedStarts.map(numberOf)) {
     items.push({ rank: 4, robot, text: "its given start contradicts the maps: its place comes from the maps", key: `start ${robot}` });
   }

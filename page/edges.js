@@ -22,7 +22,7 @@ const STATES = {
   dropped: "dropped, later maps contradict it",
 };
 
-/** Reads `/merge_edges`, a std_msgs/String with JSON: the edges, and names of the robots whose given start the maps contradict. @returns {{edges: Edge[], starts: string[]}} */
+/** Reads `/merge_edges`, a std_msgs/String with JSON: the edges, names of the robots whose given start the maps contradict, and whether they are not saved. @returns {{edges: Edge[], starts: string[], unsaved: boolean}} */
 export function readEdges(/** @type {DataView} */ view) {
   let json;
   try {
@@ -31,7 +31,8 @@ export function readEdges(/** @type {DataView} */ view) {
     throw new RangeError("the merge edges are not JSON");
   }
   if (!Array.isArray(json?.edges)) throw new RangeError("the merge edges have no list");
-  return { edges: json.edges.filter(isEdge), starts: Array.isArray(json.contradicted_starts) ? json.contradicted_starts.filter(isText) : [] };
+  const starts = Array.isArray(json.contradicted_starts) ? json.contradicted_starts.filter(isText) : [];
+  return { edges: json.edges.filter(isEdge), starts, unsaved: json.unsaved === true };
 }
 
 function isText(/** @type {unknown} */ value) { return typeof value === "string"; }

@@ -123,6 +123,8 @@ export class Fleet {
     this.edges = [];
     /** Names of the robots whose given start the maps contradict. @type {string[]} */
     this.contradictedStarts = [];
+    /** Whether merging cannot save the edges, and what the operator said of them. */
+    this.areEdgesUnsaved = false;
     /** What exploration does, or null if nobody has said. @type {import("./exploration.js").Exploration | null} */
     this.exploration = null;
     /** The areas that navigation keeps robots out of. @type {import("./zones.js").Zone[]} */
@@ -178,7 +180,7 @@ export class Fleet {
     this.mapLinks = new Map();
     this.frames = new FrameTree();
     this.merged.clear();
-    Object.assign(this, { seen: null, edges: [], contradictedStarts: [], exploration: null, zones: [], area: [] });
+    Object.assign(this, { seen: null, edges: [], contradictedStarts: [], areEdgesUnsaved: false, exploration: null, zones: [], area: [] });
     for (const robot of this.robots.values()) {
       const { number, prefix, figures } = robot;
       Object.assign(robot, new Robot(number, prefix), { figures });
@@ -229,7 +231,7 @@ export class Fleet {
       return undefined;
     }
     if (topic === "/merge_edges") {
-      ({ edges: this.edges, starts: this.contradictedStarts } = readEdges(view));
+      ({ edges: this.edges, starts: this.contradictedStarts, unsaved: this.areEdgesUnsaved } = readEdges(view));
       return undefined;
     }
     if (topic === "/exclusion_zones") {

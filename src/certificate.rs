@@ -58,9 +58,13 @@ pub fn load(config: &HttpsConfig) -> Result<TlsAcceptor, CertificateError> {
 
 /// Loads the own certificate with its key from one file; creates it if there is none, or none that can be used.
 fn load_or_create(path: &Path) -> Result<TlsAcceptor, CertificateError> {
-    // A file that was cut off by a full disk is replaced.
-    if let Ok(Ok(acceptor)) = read(path).map(|pem| tls_acceptor(&pem, &pem)) {
-        return Ok(acceptor);
+    match read(path).map(|pem| tls_acceptor(&pem, &pem)) {
+        Ok(Ok(acceptor)) => return Ok(acceptor),
+        // A file that was cut off by a full disk is replaced.
+        Ok(Err(_)) => {}
+        Err(CertificateError::File { why, .. }) if why.kind() == io::ErrorKind::NotFound => {}
+        // It may be whole: browsers trust it.
+        Err(why) => return Err(why),
     }
     let pem = create()?;
     write_private(path, pem.as_bytes())
@@ -124,6 +128,10 @@ mod tests {
         fs::write(&path, &first[..first.len() / 2]).unwrap();
         load_or_create(&path).unwrap();
         assert_ne!(fs::read(&path).unwrap(), first, "half a file is replaced");
+
+        fs::write(&path, vec![b' '; BYTES_MAX as usize + 1]).unwrap();
+        assert!(load_or_create(&path).is_err());
+        assert_eq!(fs::metadata(&path).unwrap().len(), BYTES_MAX + 1, "what cannot be read is left as it is");
     }
 
     #[test]

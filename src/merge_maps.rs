@@ -2,7 +2,7 @@
 //! a robot's SLAM process does not answer. Files in the run's folder, one for each robot.
 
 use crate::run::Run;
-use crate::storage::Storage;
+use crate::storage::{Storage, keep_unusable};
 use bytemuck::{Pod, Zeroable};
 use formats::gzip;
 use msg::tiles::{MAP_TILES_MAX, ROBOT_TILES_MAX};
@@ -102,8 +102,12 @@ impl<S: Storage> MapFiles<S> {
                 Ok(map) => Some((robot, map)),
                 Err(Unusable::Read(why)) if why.kind() == io::ErrorKind::NotFound => None,
                 Err(why) => {
+                    let kept = match why {
+                        Unusable::Run => "it is written anew".into(),
+                        _ => keep_unusable(&self.storage, &path),
+                    };
                     tracing::warn!(
-                        "merge: {} {why}; {robot}'s map comes from its SLAM alone",
+                        "merge: {}: {why}; {robot}'s map comes from its SLAM alone; {kept}",
                         path.display()
                     );
                     None

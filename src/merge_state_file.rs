@@ -2,7 +2,7 @@
 //! It is a file in the run's folder, which only the restarted merge process of the same run reads.
 
 use crate::run::Run;
-use crate::storage::Storage;
+use crate::storage::{Storage, keep_unusable};
 use merge::{FleetPoseGraph, FleetSnapshot, SnapshotRejected};
 use msg::Monotonic;
 use serde::{Deserialize, Serialize};
@@ -50,6 +50,16 @@ enum Unusable {
     Fleet(#[from] SnapshotRejected),
 }
 
+impl Unusable {
+    /// Keeps the file, unless another run left it. Returns what came of it.
+    fn keep(&self, storage: &impl Storage, path: &Path) -> String {
+        match self {
+            Self::Run => "it is written anew".into(),
+            _ => keep_unusable(storage, path),
+        }
+    }
+}
+
 /// Reason why the state cannot be saved.
 #[derive(Debug, thiserror::Error)]
 enum SaveError {
@@ -84,17 +94,21 @@ impl<S: Storage> MergeStateFile<S> {
     pub fn restore(run: &Run, storage: S, fleet: &mut FleetPoseGraph) -> Self {
         let path = run.dir.join(FILE);
         let kept = restore(&storage, &path, run.begun.0, fleet).unwrap_or_else(|why| {
-            tracing::warn!("merge: {} {why}; it begins without it", path.display());
+            let kept = why.keep(&storage, &path);
+            tracing::warn!("merge: {}: {why}; it begins without it; {kept}", path.display());
             None
         });
         Self { storage, path, run: run.begun.0, kept, due: Monotonic::default(), last_warning: None }
     }
 
-    /// Writes the state, if it has changed.
-    pub fn save(&mut self, fleet: &FleetPoseGraph, now: Monotonic) {
+    /// Writes the state, if it has changed; returns whether the file has it. After a failed write it waits, unless `at_once`.
+    pub fn save(&mut self, fleet: &FleetPoseGraph, now: Monotonic, at_once: bool) -> bool {
         let snapshot = fleet.snapshot();
-        if self.kept.as_ref() == Some(&snapshot) || now < self.due {
-            return;
+        if self.kept.as_ref() == Some(&snapshot) {
+            return true;
+        }
+        if now < self.due && !at_once {
+            return false;
         }
         match write(&self.storage, &self.path, self.run, &snapshot) {
             Ok(()) => (self.kept, self.last_warning) = (Some(snapshot), None),
@@ -107,6 +121,7 @@ impl<S: Storage> MergeStateFile<S> {
                 self.last_warning = Some(why);
             }
         }
+        self.last_warning.is_none()
     }
 }
 
@@ -145,6 +160,7 @@ fn restore(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::FleetConfig;
     use crate::storage::DiskStorage;
     use merge::MergeConfig;
     use msg::{EdgeAction, Pose2, RobotId};
@@ -175,7 +191,7 @@ mod tests {
             due: Monotonic(0),
             last_warning: None,
         };
-        state_file.save(&fleet, Monotonic(1));
+        state_file.save(&fleet, Monotonic(1), false);
         let mut again = fresh(2);
         assert_eq!(restore(&DiskStorage, &path, 7, &mut again).unwrap(), Some(fleet.snapshot()));
         assert_eq!(again.snapshot(), fleet.snapshot());
@@ -184,7 +200,7 @@ mod tests {
             fleet.map_from_robot_map(RobotId::new(2).unwrap())
         );
         std::fs::remove_file(&path).unwrap();
-        state_file.save(&fleet, Monotonic(2));
+        state_file.save(&fleet, Monotonic(2), false);
         assert!(!path.exists());
     }
 
@@ -235,6 +251,22 @@ mod tests {
     }
 
     #[test]
+    fn a_file_that_cannot_be_read_is_not_overwritten() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = Run::in_memory(FleetConfig::default()).unwrap();
+        run.dir = folder.path().into();
+        // No file can be read from a folder.
+        std::fs::create_dir(run.dir.join(FILE)).unwrap();
+        std::fs::write(run.dir.join(FILE).join("content"), "whole").unwrap();
+        let mut fleet = fresh(2);
+        let mut state_file = MergeStateFile::restore(&run, DiskStorage, &mut fleet);
+        state_file.save(&pinned(), Monotonic(1), false);
+        assert!(run.dir.join(FILE).is_file(), "the new state is saved");
+        let kept = run.dir.join(format!("{FILE}.unreadable")).join("content");
+        assert_eq!(std::fs::read_to_string(kept).unwrap(), "whole");
+    }
+
+    #[test]
     fn a_folder_that_is_gone_costs_the_memory_and_nothing_else() {
         let folder = tempfile::tempdir().unwrap();
         // A file where the folder should be.
@@ -248,7 +280,11 @@ mod tests {
             due: Monotonic(0),
             last_warning: None,
         };
-        state_file.save(&pinned(), Monotonic(1));
+        assert!(!state_file.save(&pinned(), Monotonic(1), false));
         assert!(state_file.last_warning.is_some() && state_file.due > Monotonic(1));
+        // The folder is there again: what a person asks for is tried at once, and all else after a while.
+        std::fs::remove_file(folder.path().join("run")).unwrap();
+        assert!(!state_file.save(&pinned(), Monotonic(2), false));
+        assert!(state_file.save(&pinned(), Monotonic(2), true));
     }
 }

@@ -52,6 +52,8 @@ pub struct Records {
     pub chain: Vec<LogRecord>,
     /// Index of the file with the newest of them, and its end in that file, bytes.
     pub end: Option<(usize, u64)>,
+    /// Files that are there and cannot be read, with the reason.
+    pub unreadable: Vec<(PathBuf, std::io::Error)>,
 }
 
 /// Reads the records of one robot's run that follow `newest` from files, of which some may be missing or cut off.
@@ -63,12 +65,13 @@ pub fn read(
 ) -> Records {
     let mut records = Vec::new();
     let mut ends = Vec::new();
+    let mut unreadable = Vec::new();
     for (file, path) in files.iter().enumerate() {
         let bytes = match storage.read(path, FILE_BYTES_MAX + WAITING_BYTES_MAX as u64 * 2) {
             Ok(bytes) => bytes,
             Err(why) if why.kind() == ErrorKind::NotFound => continue,
             Err(why) => {
-                tracing::warn!("{}: {why}; its nodes are lost", path.display());
+                unreadable.push((path.clone(), why));
                 continue;
             }
         };
@@ -86,12 +89,15 @@ pub fn read(
     }
     let chain = continuation(newest, records);
     let newest = chain.last().and_then(|last| ends.iter().find(|(position, ..)| *position == last.position));
-    Records { end: newest.map(|&(_, file, end)| (file, end)), chain }
+    Records { end: newest.map(|&(_, file, end)| (file, end)), chain, unreadable }
 }
 
 /// Returns a session with the nodes that its run has logged after it; the session itself if there are none.
 pub fn with_records(storage: &impl Storage, path: &Path, session: Session, config: &SlamConfig) -> Session {
     let records = read(storage, &all_files(path), &session.identity, session.log);
+    for (file, why) in &records.unreadable {
+        tracing::warn!("{}: {why}; its nodes are left out", file.display());
+    }
     if records.chain.is_empty() {
         return session;
     }
@@ -108,6 +114,8 @@ pub fn replayed(
     records: Vec<LogRecord>,
     identity: SessionIdentity,
 ) -> Session {
+    // That of a map that was reset has no nodes.
+    let begins_with = begins_with.filter(|session| !session.back.nodes.is_empty());
     let (_, mut back) = ::slam::create_or_resume(config, begins_with, mode, pose);
     let front = back.replay(records);
     back.session(identity, front, &[])

@@ -23,6 +23,8 @@ const STARTS: &str = "starts.json";
 const OWN_FRAME: &str = "own_frame";
 /// Largest file of poses that is read, bytes.
 const STARTS_BYTES_MAX: u64 = 64 << 10;
+/// Larger than any session without nodes, bytes.
+const WITHOUT_NODES_BYTES_MAX: u64 = 64 << 10;
 /// Largest coordinate of a map's pose, metres or radians.
 const START_MAX: f64 = 1e6;
 /// Standard deviation of a pose that a person gives: metres, radians.
@@ -100,10 +102,21 @@ pub fn identity(run: &Run, robot: RobotId) -> SessionIdentity {
     SessionIdentity::new(robot.number() as u32, run.begun.0, &run.config.slam)
 }
 
-/// Reads the session that a robot begins with, if there is one, with the nodes that its run has logged after it.
+/// Reads the session that a robot begins with, if there is one, with the nodes that its run has logged after it. One without
+/// nodes, as of a map that was reset at the end, is none.
 pub fn first(config: &FleetConfig, robot: RobotId) -> Result<Option<Session>, SessionFileError> {
     let Some((path, session)) = first_saved(config, robot)? else { return Ok(None) };
-    Ok(Some(session_records::with_records(&DiskStorage, &path, session, &config.slam)))
+    let session = session_records::with_records(&DiskStorage, &path, session, &config.slam);
+    Ok(Some(session).filter(|session| !session.back.nodes.is_empty()))
+}
+
+/// Returns whether a robot begins with a map. Only a short file is read for that: one without nodes is short.
+fn begins_with_map(config: &FleetConfig, folder: &Path, robot: RobotId) -> bool {
+    match file(folder, robot).metadata() {
+        Err(_) => false,
+        Ok(about) if about.len() > WITHOUT_NODES_BYTES_MAX => true,
+        Ok(_) => first(config, robot).ok().is_none_or(|session| session.is_some()),
+    }
 }
 
 /// Reads the same session as it was saved, with its path.
@@ -165,7 +178,7 @@ pub fn known_starts(
     let Some(folder) = config.sessions.folder() else { return Ok(otherwise) };
     let kept = read_starts(&folder.join(STARTS))?;
     for (robot, start) in RobotId::first(config.fleet.robots).zip(&mut otherwise) {
-        if file(folder, robot).exists() {
+        if begins_with_map(config, folder, robot) {
             *start = kept.get(&robot.to_string()).map(|[x, y, yaw]| Pose2::new(*x, *y, *yaw));
         }
     }

@@ -138,6 +138,10 @@ pub struct MergeEdges {
     pub refused: u32,
     /// Number of edges that have no place in the message.
     pub left_out: u32,
+    /// 1 if the newest state, with what the operator said, is not in its file: merging that is started again does not know it.
+    pub unsaved: u32,
+    /// Padding, always zero.
+    pub reserved: u32,
     /// Robots whose given start the maps contradict, as bits by [`RobotId::index`]. Read them by
     /// [`MergeEdges::contradicted_starts`].
     pub contradicted_start_bits: u64,

@@ -62,3 +62,11 @@ test("an edge without measurements, as one that was pinned before maps overlap, 
     "walls agree –, by chance – · – shared · – apart · 3 closures", "walls agree 83 %, by chance 30 % · 12.3 m² shared · 24 mm apart · 3 closures",
   ]);
 });
+
+test("the operator is told that what is pinned is not kept", () => {
+  const fleet = new Fleet();
+  fleet.receive("/merge_edges", text(JSON.stringify({ edges: [EDGE], unsaved: true })), 0);
+  assert.ok(fleet.attention(0, true).some((item) => item.text.includes("merging cannot save")));
+  fleet.receive("/merge_edges", text(JSON.stringify({ edges: [EDGE], unsaved: false })), 0);
+  assert.ok(!fleet.attention(0, true).some((item) => item.text.includes("merging cannot save")));
+});

@@ -56,6 +56,8 @@ pub struct FleetView {
     pub merge_edges: Vec<EdgeView>,
     /// Robots whose given start the maps contradict: their places come from the maps.
     pub contradicted_starts: Vec<String>,
+    /// Whether the edges, and what the operator said of them, are not saved.
+    pub edges_unsaved: bool,
     /// Health of each process.
     pub processes: Vec<ProcessView>,
     /// State of the bridge; `None`: it was not asked, or did not answer. On the live table, its newest known state.
@@ -259,6 +261,7 @@ impl FleetView {
             }),
             merge_edges: Vec::new(),
             contradicted_starts: Vec::new(),
+            edges_unsaved: false,
             processes: stats.processes.iter().filter_map(ProcessView::new).collect(),
             bridge: None,
             bridge_silence: None,
@@ -273,6 +276,7 @@ impl FleetView {
         Self {
             merge_edges: edges.edges().iter().map(EdgeView::new).collect(),
             contradicted_starts: edges.contradicted_starts().map(|robot| robot.to_string()).collect(),
+            edges_unsaved: edges.unsaved != 0,
             ..self
         }
     }

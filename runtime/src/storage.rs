@@ -6,7 +6,12 @@ use formats::regular;
 use msg::{Grid, GridView};
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// Ending of a file that could not be used, and was kept.
+const KEPT_ENDING: &str = "unreadable";
+/// Largest number of files that are kept of one name.
+const KEPT_MAX: u32 = 9;
 
 /// Reads and writes files.
 pub trait Storage: Clone + 'static {
@@ -18,6 +23,8 @@ pub trait Storage: Clone + 'static {
     fn replace(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
     /// Removes a file; it is no error if there is none.
     fn remove(&self, path: &Path) -> io::Result<()>;
+    /// Renames a file. It is an error if the new name is taken.
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
     /// Writes bytes at a place in a file, and cuts off what follows. The file must reach to that place; at 0 it is made,
     /// with its folder. The bytes outlive the process, but not a power cut.
     fn append(&self, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()>;
@@ -25,6 +32,27 @@ pub trait Storage: Clone + 'static {
     fn write_map(&self, stem: &Path, map: GridView<'_>, reasons: &[&str]) -> Result<(), MapFileError>;
     /// Reads a map from its YAML file.
     fn read_map(&self, path: &Path) -> Result<Grid, MapFileError>;
+}
+
+/// Renames a file that cannot be used, so that what is saved in its place does not overwrite it: it may be whole, and only the disk may
+/// have failed. Returns what came of it, for a person.
+pub fn keep_unusable(storage: &impl Storage, path: &Path) -> String {
+    let kept = |number: u32| {
+        let mut name = path.to_owned().into_os_string();
+        name.push(format!(".{KEPT_ENDING}"));
+        if number > 1 {
+            name.push(number.to_string());
+        }
+        PathBuf::from(name)
+    };
+    for to in (1..=KEPT_MAX).map(kept) {
+        match storage.rename(path, &to) {
+            Ok(()) => return format!("it is kept as {}", to.display()),
+            Err(why) if why.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(why) => return format!("it cannot be renamed ({why}) and may be overwritten"),
+        }
+    }
+    format!("{KEPT_MAX} such files are kept already, and this one may be overwritten")
 }
 
 /// The machine's file system; lockstep keeps files in memory instead.
@@ -56,6 +84,13 @@ impl Storage for DiskStorage {
             Err(why) if why.kind() == io::ErrorKind::NotFound => Ok(()),
             result => result,
         }
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        if to.symlink_metadata().is_ok() {
+            return Err(io::ErrorKind::AlreadyExists.into());
+        }
+        std::fs::rename(from, to)
     }
 
     fn append(&self, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()> {
@@ -90,4 +125,30 @@ fn create_folder_of(path: &Path) -> io::Result<()> {
 /// Bytes that are free in the file system of a folder; `None`: it cannot be asked.
 pub fn free_bytes(folder: &Path) -> Option<u64> {
     rustix::fs::statvfs(folder).ok().map(|about| about.f_bavail * about.f_frsize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_cannot_be_used_is_kept_whatever_was_kept_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("robot1.slam");
+        for number in 1..=KEPT_MAX {
+            std::fs::write(&path, number.to_string()).unwrap();
+            let said = keep_unusable(&DiskStorage, &path);
+            assert!(said.contains("robot1.slam.unreadable") && !path.exists(), "{said}");
+        }
+        std::fs::write(&path, "one more").unwrap();
+        assert!(keep_unusable(&DiskStorage, &path).contains("may be overwritten"));
+        let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+        assert_eq!(
+            ["unreadable", "unreadable2", "unreadable9"].map(|ending| read(&format!("robot1.slam.{ending}"))),
+            ["1", "2", "9"]
+        );
+        assert_eq!(read("robot1.slam"), "one more");
+        std::fs::remove_file(&path).unwrap();
+        assert!(keep_unusable(&DiskStorage, &path).contains("cannot be renamed"));
+    }
 }

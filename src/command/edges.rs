@@ -81,6 +81,12 @@ pub enum EdgesError {
         /// Folder of the run.
         run: PathBuf,
     },
+    /// The change was made, and is not in merging's file.
+    #[error("run {}: changed, but NOT KEPT: merge.json cannot be written, and merging that is started again does not know it; the log says why", run.display())]
+    NotKept {
+        /// Folder of the run.
+        run: PathBuf,
+    },
     /// Merging was started again between the command and its answer.
     #[error("run {}: merging was started again meanwhile; whether the command was carried out is not known: see `mr-slam edges`", run.display())]
     Restarted {
@@ -158,6 +164,9 @@ fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, Edges
     }
     if after.refused != before.refused {
         return Err(EdgesError::Refused { run: run.dir.clone() });
+    }
+    if after.unsaved != 0 {
+        return Err(EdgesError::NotKept { run: run.dir.clone() });
     }
     Ok(after)
 }

@@ -52,6 +52,16 @@ impl Storage for MemoryStorage {
         Ok(())
     }
 
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        let mut files = self.files.borrow_mut();
+        if files.contains_key(to) {
+            return Err(ErrorKind::AlreadyExists.into());
+        }
+        let bytes = files.remove(from).ok_or(ErrorKind::NotFound)?;
+        files.insert(to.to_owned(), bytes);
+        Ok(())
+    }
+
     fn append(&self, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()> {
         // A file is emptied in place on a full disk, too.
         let needs_room = !bytes.is_empty();

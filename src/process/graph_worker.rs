@@ -142,9 +142,9 @@ impl<P: Ports, S: Storage> ProcessLoop for GraphWorker<P, S> {
             self.graph.apply_result(outcome);
         }
         // Saved before it is published, so that a pin that a client has seen outlives this process.
-        self.state_file.save(&self.graph, now);
+        let is_saved = self.state_file.save(&self.graph, now, self.output.answered);
         self.files.save(&self.maps, now);
-        self.output.publish(&self.graph, self.sources.len(), now);
+        self.output.publish(&self.graph, self.sources.len(), is_saved, now);
         if worked { now } else { Monotonic(now.0 + POLL_NS) }
     }
 }
@@ -231,8 +231,8 @@ impl<P: Ports> Output<P> {
         self.answered = true;
     }
 
-    /// Publishes edges and estimates that have changed.
-    fn publish(&mut self, graph: &FleetPoseGraph, robots: usize, now: Monotonic) {
+    /// Publishes edges and estimates that have changed, and whether the state of this moment is saved.
+    fn publish(&mut self, graph: &FleetPoseGraph, robots: usize, is_saved: bool, now: Monotonic) {
         let of_robot = |robot| RobotMapEstimate {
             map_from_robot_map: graph.map_from_robot_map(robot),
             redrawn: graph.redrawn_map(robot).cloned(),
@@ -241,11 +241,13 @@ impl<P: Ports> Output<P> {
         let moved = self.estimate.as_ref().is_none_or(|before| !same(before, &estimate));
         let mut edges = self.edges.clone();
         graph.write_edges(&mut edges);
+        edges.unsaved = u32::from(!is_saved);
         if moved {
             self.slot.put(estimate.clone());
             self.estimate = Some(estimate);
         }
         let changed = edges.edges() != self.edges.edges()
+            || edges.unsaved != self.edges.unsaved
             || edges.contradicted_start_bits != self.edges.contradicted_start_bits;
         if moved || self.answered || changed {
             let known = |robot: &RobotId| self.edges.contradicted_starts().any(|other| other == *robot);

@@ -25,7 +25,7 @@ use crate::session_records;
 use crate::sessions;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
-use crate::storage::{DiskStorage, Storage};
+use crate::storage::{DiskStorage, Storage, keep_unusable};
 use crate::time_slice;
 use ::slam::{
     FrontEnd, FrontEndState, InitialPose, LocalFrameEstimate, MapFrameUpdate, NODES_IN_FLIGHT_MAX, Node,
@@ -35,6 +35,7 @@ use back_end::{BackEndWorker, InitialBackEnd};
 use files::{FileJobOutcome, SlamFileJob, SlamFileWorker};
 use front_end_loop::{BeginningFrontEnd, FrontEndLoop};
 use msg::{Header, Pose2, RobotId, Role, SlamMode};
+use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
@@ -217,18 +218,17 @@ fn restore_or_create(
     let is_paused = pausing::was_paused(storage, run, robot);
     let identity = sessions::identity(run, robot);
     let saved = read_own_session(run, robot, storage);
-    let has_session = saved.is_some();
     let position = saved.as_ref().map(|session| session.log).unwrap_or_default();
     let (records, log_end) = session_log::read(storage, run, robot, position);
-    let (session, mode) = match saved {
+    let (session, mode, has_session) = match saved {
         Some(saved) => {
-            let mode = saved.mode;
-            (Some(saved), mode)
+            let (mode, has_nodes) = (saved.mode, !saved.back.nodes.is_empty());
+            (Some(saved).filter(|_| has_nodes), mode, has_nodes)
         }
         None => {
             let first = sessions::first(&run.config, robot)?;
             let mode = sessions::first_mode(&run.config, first.is_some());
-            (first, mode)
+            (first, mode, false)
         }
     };
     if !has_session && records.is_empty() {
@@ -270,11 +270,23 @@ fn read_own_session(run: &Run, robot: RobotId, storage: &impl Storage) -> Option
         Ok(kept) => Some(kept).filter(|kept| kept.identity.run == identity.run),
         Err(why) => {
             if !why.is_missing() {
-                tracing::warn!("slam of {robot}: {why}; it begins without the session");
+                let kept = match run.config.sessions.autosave_s > 0.0 {
+                    true => keep_session(storage, &own),
+                    false => "it stays as it is, as nothing is saved".into(),
+                };
+                tracing::warn!("slam of {robot}: {why}; it begins without the session; {kept}");
             }
             None
         }
     }
+}
+
+/// Keeps a session that cannot be used, and its log, which is of no use without it: both are written anew. Returns what came of it.
+fn keep_session(storage: &impl Storage, session: &Path) -> String {
+    for log in session_records::files(session) {
+        keep_unusable(storage, &log);
+    }
+    keep_unusable(storage, session)
 }
 
 /// Returns the fleet's configuration of SLAM for a live process, which needs no trajectory of all scans.
@@ -282,4 +294,37 @@ fn live_config(run: &Run) -> SlamConfig {
     let mut config = run.config.slam.clone();
     config.graph.trajectory_max = 0;
     config
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::FleetConfig;
+
+    #[test]
+    fn files_that_cannot_be_read_are_not_overwritten() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = Run::in_memory(FleetConfig::default()).unwrap();
+        run.dir = folder.path().into();
+        let robot = RobotId::new(1).unwrap();
+        let session = sessions::file(&sessions::folder(&run), robot);
+        let [log, other_log] = session_records::files(&session);
+        // No file can be read from a folder.
+        let unreadable = |path: &Path| std::fs::create_dir_all(path.join("content")).unwrap();
+        [&session, &log].into_iter().for_each(|path| unreadable(path));
+        std::fs::write(&other_log, "nodes").unwrap();
+        assert!(read_own_session(&run, robot, &DiskStorage).is_none());
+        for path in [&session, &log, &other_log] {
+            let kept = format!("{}.unreadable", path.display());
+            assert!(!path.exists() && Path::new(&kept).exists(), "{kept}");
+        }
+        // A log alone that cannot be read is kept, too.
+        unreadable(&log);
+        session_log::read(&DiskStorage, &run, robot, Default::default());
+        assert!(!log.exists() && log.with_extension("log0.unreadable2").join("content").exists());
+        // Nobody knows whether it was paused.
+        assert!(!pausing::was_paused(&DiskStorage, &run, robot));
+        unreadable(&sessions::pause_marker(&sessions::folder(&run), robot));
+        assert!(pausing::was_paused(&DiskStorage, &run, robot));
+    }
 }

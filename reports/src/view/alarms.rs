@@ -50,6 +50,9 @@ impl FleetView {
                 edge.a, edge.b, edge.contradicted_submaps, edge.compared_submaps
             ));
         }
+        if self.edges_unsaved {
+            alarms.push("merging cannot save its state: what is pinned or undone is lost when it is started again; the log says why".into());
+        }
         for robot in &self.contradicted_starts {
             alarms.push(format!("{robot}'s given start contradicts the maps: its place comes from the maps"));
         }

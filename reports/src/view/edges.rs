@@ -113,11 +113,13 @@ fn figure(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| "-".into(), |value| format!("{value:.decimals$}"))
 }
 
-/// Formats all edges as JSON, as on the topic `/merge_edges`, with the robots whose given start the maps contradict.
+/// Formats all edges as JSON, as on the topic `/merge_edges`, with the robots whose given start the maps contradict, and
+/// whether the newest state is not saved.
 pub fn edges_json(edges: &MergeEdges) -> String {
     let views: Vec<EdgeView> = edges.edges().iter().map(EdgeView::new).collect();
     let starts: Vec<String> = edges.contradicted_starts().map(|robot| robot.to_string()).collect();
-    let message = serde_json::json!({ "edges": views, "contradicted_starts": starts });
+    let message =
+        serde_json::json!({ "edges": views, "contradicted_starts": starts, "unsaved": edges.unsaved != 0 });
     serde_json::to_string(&message).unwrap_or_default()
 }
 

@@ -4,7 +4,7 @@
 //! that: live, they are read and written on a thread of their own, see [`crate::job_thread`].
 
 use crate::run::Run;
-use crate::storage::Storage;
+use crate::storage::{Storage, keep_unusable};
 use ::bridge::Bridge;
 use msg::{Monotonic, RobotId};
 use serde::{Deserialize, Serialize};
@@ -136,7 +136,8 @@ impl<S: Storage> SavedFiles<S> {
             Ok(_) => {}
             Err(why) => {
                 let path = files.state_file.display();
-                tracing::warn!("{path}: {why}; the selected robot and the drivers are not restored");
+                let kept = keep_unusable(&files.storage, &files.state_file);
+                tracing::warn!("{path}: {why}; the selected robot and the drivers are not restored; {kept}");
             }
         }
         match files.read_latch() {
@@ -339,6 +340,19 @@ mod tests {
         other.begun = Monotonic(7);
         let selected = Process::start(&other, at_ms(0)).bridge.selected_robot();
         assert_eq!(selected.number(), 1, "another run in this folder begins anew");
+    }
+
+    #[test]
+    fn a_state_that_cannot_be_read_is_not_overwritten() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = run_in(folder.path());
+        std::fs::write(run.dir.join(STATE_FILE), "{").unwrap();
+        let mut process = Process::start(&run, at_ms(0));
+        process.send(HOLDER, "/selected_robot", &Int32(2), at_ms(10));
+        process.update(at_ms(30));
+        let kept = run.dir.join(format!("{STATE_FILE}.unreadable"));
+        assert_eq!(std::fs::read_to_string(kept).unwrap(), "{");
+        assert_eq!(Process::start(&run, at_ms(40)).bridge.selected_robot().number(), 2);
     }
 
     #[test]

@@ -55,6 +55,11 @@ impl Storage for StalledDisk {
         DiskStorage.remove(path)
     }
 
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        self.wait();
+        DiskStorage.rename(from, to)
+    }
+
     fn append(&self, _: &Path, _: u64, _: &[u8]) -> io::Result<()> {
         unreachable!("the bridge appends to no file")
     }

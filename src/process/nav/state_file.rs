@@ -4,7 +4,7 @@
 
 use crate::job_thread::{JobRunner, JobWorker};
 use crate::run::Run;
-use crate::storage::Storage;
+use crate::storage::{Storage, keep_unusable};
 use ::nav::{GoalFrame, GoalPose, NavigationGoal};
 use msg::{Monotonic, PauseReason, RobotId};
 use serde::{Deserialize, Serialize};
@@ -143,15 +143,19 @@ impl<S: Storage> NavigationFile<S> {
     pub(super) fn read(&self) -> Found {
         let bytes = match self.storage.read(&self.path, BYTES_MAX) {
             Err(why) if why.kind() == io::ErrorKind::NotFound => return Found::Nothing,
-            Ok(bytes) if bytes.is_empty() => Err(io::Error::other("the state could not be written")),
             result => result,
         };
+        let is_emptied = bytes.as_ref().is_ok_and(Vec::is_empty);
         match bytes.and_then(|bytes| Ok(serde_json::from_slice::<Saved>(&bytes)?)) {
             Ok(saved) if saved.run == self.run_begun => Found::State(Box::new(saved.state)),
             Ok(_) => Found::Nothing,
             Err(why) => {
+                let kept = match is_emptied {
+                    true => "the state could not be written".into(),
+                    false => format!("{why}; {}", keep_unusable(&self.storage, &self.path)),
+                };
                 tracing::warn!(
-                    "{}: {why}; navigation begins without goals, exploration and zones, and the robots stand",
+                    "{}: navigation begins without goals, exploration and zones, and the robots stand: {kept}",
                     self.path.display()
                 );
                 Found::Lost

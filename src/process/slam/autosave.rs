@@ -77,6 +77,11 @@ impl Autosave {
         self.due = self.due.min(self.not_before);
     }
 
+    /// Why the last save failed, if it did.
+    pub fn error(&self) -> Option<&str> {
+        self.reported.as_deref()
+    }
+
     pub fn begin(&mut self, now: Monotonic) {
         (self.busy_since, self.changed) = (Some(now), false);
     }

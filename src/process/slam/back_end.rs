@@ -12,7 +12,7 @@ use crate::process::submap_publisher::SubmapPublisher;
 use crate::run::Run;
 use crate::sessions;
 use ::slam::{BackEnd, FrontEnd, FrontEndState, LocalFrameEstimate, Node, Session, SessionIdentity};
-use msg::{Monotonic, RobotId, SlamMode, SlamRequest};
+use msg::{Monotonic, RobotId, SlamMode, SlamRequest, SlamRequestKind};
 use std::path::PathBuf;
 use std::sync::mpsc::SyncSender;
 use std::time::Duration;
@@ -259,6 +259,15 @@ impl WorkerState {
         self.autosave.save_soon();
     }
 
+    /// Says after a request that changes the map that the session could not be saved the last time; empty otherwise.
+    pub fn unsaved_note(&self, request: &SlamRequest) -> String {
+        let changes = SlamRequestKind::from_code(request.kind).is_some_and(SlamRequestKind::changes_map);
+        let why = self.autosave.error().filter(|_| changes);
+        why.map_or_else(String::new, |why| {
+            format!("; NOT SAVED yet, a process that is started again would not know it: {why}")
+        })
+    }
+
     /// Returns how many requests wait for the scan path's state.
     pub fn pending(&self) -> usize {
         self.pending.len()
@@ -326,7 +335,8 @@ impl WorkerState {
         if self.log.needs_session() && self.back.grows_map() {
             self.autosave.save_soon();
         }
-        if self.autosave.is_due(self.now) && !self.back.nodes().is_empty() {
+        // A map that was reset is saved without nodes, too: the one of before must not come back.
+        if self.autosave.is_due(self.now) {
             self.autosave.begin(self.now);
             self.defer_until_state(PendingRequest::Autosave);
         }
@@ -351,7 +361,7 @@ impl WorkerState {
     /// Saves at the end of the process, with the front end of this number at `state`.
     fn end(&mut self, number: u32, state: &FrontEndState) {
         let same_front = number == self.front_number;
-        if self.autosave.is_wanted_at_end() && same_front && !self.back.nodes().is_empty() {
+        if self.autosave.is_wanted_at_end() && same_front {
             let work = FileOperation::Save(self.session_after_log(state));
             // The running save must end first, or the older session would replace the newer one.
             let _ = self.jobs.send(SlamFileJob { request: None, path: self.autosave.path.clone(), work });

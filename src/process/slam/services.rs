@@ -221,8 +221,8 @@ impl<P: Ports> Services<P> {
         let FileJobOutcome { request: Some(request), path, result, .. } = outcome else { return };
         let loads = request.kind == SlamRequestKind::LoadSession as u32;
         self.loading &= !loads;
-        if pausing::is_answered(&request, result.as_ref().map(|_| ())) {
-            return;
+        if let Some(answer) = pausing::answer(&request, result.as_ref().map(|_| ())) {
+            return self.respond(&request, Ok(RequestOutcome::Done(answer)), state);
         }
         let outcome = result.map(|loaded| {
             let text = match &loaded {
@@ -251,7 +251,7 @@ impl<P: Ports> Services<P> {
     fn respond(&mut self, request: &SlamRequest, outcome: RequestResult, state: &WorkerState) {
         let (outcome, text) = match outcome {
             Ok(RequestOutcome::Deferred) => return,
-            Ok(RequestOutcome::Done(text)) => (SlamOutcome::Done, text),
+            Ok(RequestOutcome::Done(text)) => (SlamOutcome::Done, text + &state.unsaved_note(request)),
             Err(why) => (SlamOutcome::Refused, why.to_string()),
         };
         let (back, counts) = (&state.back, state.back.counts());

@@ -8,7 +8,7 @@ use super::files::{FileOperation, SlamFileJob};
 use crate::run::Run;
 use crate::session_records::{self, FILE_BYTES_MAX, Records, WAITING_BYTES_MAX};
 use crate::sessions;
-use crate::storage::Storage;
+use crate::storage::{Storage, keep_unusable};
 use ::slam::session::log::{LogPosition, LogRecord, LogRecordBuilder};
 use ::slam::{FrontEndState, LocalFrameEstimate, Node, SessionIdentity};
 use msg::{Monotonic, RobotId};
@@ -193,8 +193,12 @@ pub(super) fn read(
     newest: LogPosition,
 ) -> (Vec<LogRecord>, LogEnd) {
     let files = files(run, robot);
-    let Records { chain, end } =
+    let Records { chain, end, unreadable } =
         session_records::read(storage, &files, &sessions::identity(run, robot), newest);
+    for (file, why) in &unreadable {
+        let kept = keep_unusable(storage, file);
+        tracing::warn!("{}: {why}; its nodes are left out; {kept}", file.display());
+    }
     let to = match (chain.last(), end) {
         (Some(last), Some((file, end))) => LogEnd { newest: last.position, file, end, has_records: true },
         _ => LogEnd { newest, ..LogEnd::default() },
