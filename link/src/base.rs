@@ -110,8 +110,9 @@ pub struct BaseEnd {
 }
 
 impl BaseEnd {
-    /// Creates the end. `session` is a random number that tells this base from every other.
-    pub fn new(session: u64) -> Self {
+    /// Creates the end. `session` is a random number that tells this process from every other, and `run` one that tells the base's
+    /// run from every other.
+    pub fn new(session: u64, run: u32) -> Self {
         Self {
             peer: Peer::new(session),
             leadership: Leadership::default(),
@@ -120,7 +121,7 @@ impl BaseEnd {
             has_header: false,
             submaps: BTreeMap::new(),
             robot_state: HeardState::default(),
-            state: BaseState::default(),
+            state: BaseState { run, ..BaseState::default() },
             state_due: Monotonic(0),
             stop_repeats: 0,
             list_timer: Timer::new(LIST_PERIOD),

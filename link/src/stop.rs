@@ -1,8 +1,8 @@
 //! The emergency stop across machines: a robot takes over the stop of every base that it hears, and keeps it.
 //!
 //! Only a base that set the stop releases it, or a person at the robot; while several bases are stopped, the last of them that is
-//! heard. A base that starts anew, or another one, releases nothing: it never said that the robot is stopped. A stop that held at
-//! the robot before is the robot's own.
+//! heard. A base that starts anew, or another one, releases nothing: it never said that the robot is stopped. One whose link alone was
+//! started again has the same run, and is the same base. A stop that held at the robot before is the robot's own.
 
 use crate::leadership::SILENCE_MAX;
 use crate::wire::BaseState;
@@ -29,6 +29,8 @@ pub enum StopRequest {
 #[derive(Clone, Copy, Debug)]
 struct Holder {
     session: u64,
+    /// Number of its run; 0 if it has none.
+    run: u32,
     heard: Monotonic,
 }
 
@@ -54,8 +56,11 @@ impl StopFollower {
         now: Monotonic,
     ) -> Option<StopRequest> {
         // One whose bridge does not answer is heard all the same: its stop is not another's to release.
-        if let Some(holder) = self.holders.iter_mut().find(|holder| holder.session == base) {
-            holder.heard = now;
+        let is_of_run = |holder: &Holder| state.run != 0 && holder.run == state.run;
+        if let Some(holder) =
+            self.holders.iter_mut().find(|holder| holder.session == base || is_of_run(holder))
+        {
+            (holder.session, holder.heard) = (base, now);
         }
         if !state.is_known {
             return None;
@@ -86,7 +91,7 @@ impl StopFollower {
         match known {
             Some(_) => {}
             None if self.holders.len() < HOLDERS_MAX => {
-                self.holders.push(Holder { session: base, heard: now });
+                self.holders.push(Holder { session: base, run: state.run, heard: now });
             }
             None => {}
         }
@@ -161,6 +166,25 @@ mod tests {
         assert_eq!(follow(1, true, false, 3_000), Some(StopRequest::Set));
         assert_eq!(follow(2, true, true, 3_001), None);
         assert_eq!(follow(2, false, true, 9_000), Some(StopRequest::Release));
+    }
+
+    #[test]
+    fn a_base_whose_link_was_started_again_releases_its_stop() {
+        let at = |ms: u64| Monotonic(ms * 1_000_000);
+        for (is_still_stopped, release_ms) in [(true, 600), (false, 600), (true, 9_000)] {
+            let mut follower = StopFollower::default();
+            let of_run = |is_stopped| BaseState { run: 7, ..said(is_stopped) };
+            assert_eq!(follower.follow(1, of_run(true), Some(false), at(1)), Some(StopRequest::Set));
+            // Another process of the same base, soon after.
+            if is_still_stopped {
+                assert_eq!(follower.follow(2, of_run(true), Some(true), at(500)), None);
+                assert!(!follower.is_own(Some(2), at(501)));
+            }
+            let other_run = BaseState { run: 8, ..said(false) };
+            assert_eq!(follower.follow(3, other_run, Some(true), at(550)), None, "another base");
+            let request = follower.follow(2, of_run(false), Some(true), at(release_ms));
+            assert_eq!(request, Some(StopRequest::Release));
+        }
     }
 
     #[test]

@@ -89,6 +89,8 @@ pub struct RobotState {
 /// State of the base's link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BaseState {
+    /// Number of the base's run: that of a link process that was started again is the same. 0: not known.
+    pub run: u32,
     /// Whether the base's emergency stop is set.
     pub is_stopped: bool,
     /// Whether the base knows: its bridge has answered lately.
@@ -203,6 +205,7 @@ impl Message {
                 to.extend(state.interruptions.to_le_bytes());
             }
             Self::BaseState(state) => {
+                to.extend(state.run.to_le_bytes());
                 to.extend([u8::from(state.is_stopped), u8::from(state.is_known)]);
                 let (period_ms, beams) = state.scans.map_or((0, 0), |scans| (scans.period_ms, scans.beams));
                 to.extend(period_ms.to_le_bytes());
@@ -234,6 +237,7 @@ impl Message {
         Ok(match kind {
             Kind::RobotState => Self::RobotState(read_robot_state(from)?.ok_or(wrong)?),
             Kind::BaseState => Self::BaseState(BaseState {
+                run: from.u32()?,
                 is_stopped: from.flag().ok_or(wrong)?,
                 is_known: from.flag().ok_or(wrong)?,
                 scans: read_scan_rate(from)?.ok_or(wrong)?,

@@ -46,7 +46,7 @@ impl Machines {
     fn new() -> Self {
         Self {
             robot: RobotEnd::new(1, 1, SenderConfig::default(), SCANS),
-            base: BaseEnd::new(2),
+            base: BaseEnd::new(2, 2),
             map: TileMap::new(MapHeader { resolution_m: 0.05, ..MapHeader::default() }),
             now_ms: 1_000,
             is_cut: false,
@@ -209,7 +209,7 @@ fn scans_cross_only_while_somebody_looks() {
         machines.scans.iter().all(|beams| *beams == 180) && machines.scans.len() <= 11,
         "the robot's own limit"
     );
-    machines.base = BaseEnd::new(3);
+    machines.base = BaseEnd::new(3, 3);
     machines.run(SILENCE_MAX.as_millis() as u64 + 1_000);
     machines.scans.clear();
     machines.run(2_000);
@@ -221,7 +221,7 @@ fn another_base_gets_the_whole_map_and_the_same_one_nothing_twice() {
     let mut machines = Machines::new();
     machines.draw(0..50, 50);
     machines.run(8_000);
-    machines.base = BaseEnd::new(3);
+    machines.base = BaseEnd::new(3, 3);
     machines.run(SILENCE_MAX.as_millis() as u64 + 2_000);
     assert!(machines.maps_are_equal());
     // The robot's process is started again, and learns what the base holds.
@@ -259,7 +259,7 @@ fn before_a_robots_first_state_its_messages_are_of_an_unknown_run() {
     });
     assert!(!states.is_empty() && !others.is_empty());
     // A base's process that was started again.
-    let mut base = BaseEnd::new(3);
+    let mut base = BaseEnd::new(3, 3);
     for bytes in &others {
         let events = base.receive(bytes, machines.base_now()).unwrap();
         assert!(events.iter().all(|event| matches!(event, BaseEvent::RobotJoined { .. })), "{events:?}");
@@ -323,7 +323,7 @@ fn the_stop_of_the_base_holds_on_the_robot_when_the_base_is_replaced() {
     machines.base.set_stopped(Some(true));
     machines.run(2 * STEP_MS);
     assert!(machines.is_stopped, "a stop waits for no period");
-    machines.base = BaseEnd::new(3);
+    machines.base = BaseEnd::new(3, 3);
     machines.base.set_stopped(Some(false));
     machines.run(SILENCE_MAX.as_millis() as u64 + 1_000);
     assert!(machines.is_stopped, "a base that never stopped the robot does not release it");
@@ -361,7 +361,7 @@ fn a_second_base_may_stop_the_robot_and_nothing_else_while_the_first_leads() {
     let mut machines = Machines::new();
     machines.base.set_stopped(Some(false));
     machines.run(1_000);
-    let first = std::mem::replace(&mut machines.base, BaseEnd::new(9));
+    let first = std::mem::replace(&mut machines.base, BaseEnd::new(9, 9));
     let velocity = machines.velocity();
     machines.deliver_to_robot(velocity);
     assert!(machines.velocities.is_empty() && machines.robot.refused() > 0);

@@ -58,7 +58,7 @@ fn messages() -> Vec<Message> {
             interruptions: 5,
             ..RobotState::default()
         }),
-        Message::BaseState(BaseState { is_stopped: true, is_known: false, scans: None }),
+        Message::BaseState(BaseState { run: 0x1234_5678, is_stopped: true, is_known: false, scans: None }),
         Message::BaseState(BaseState { scans: Some(ScanRate::new(5.0, 180)), ..BaseState::default() }),
         Message::Scan(Box::new(scan(SCAN_BEAMS_MAX))),
         Message::Scan(Box::new(scan(0))),

@@ -99,6 +99,12 @@ pub fn serve_link(
     Ok(())
 }
 
+/// Returns a number that other runs of this machine do not have, above 0.
+fn run_number(run: &Run) -> u32 {
+    let begun = run.begun.0;
+    (begun as u32 ^ (begun >> 32) as u32 ^ run.pid.rotate_left(16)).max(1)
+}
+
 /// Attaches the link's process to a run.
 pub fn attach(run: &Run) -> Result<Participant, ChannelError> {
     Participant::open(&run.domain, Opener::of_fleet(Program::LinkTool), "link")

@@ -1,7 +1,7 @@
 //! The link's end at the base: it writes the channels of robots that are on other machines.
 
 use super::demand::ScanDemands;
-use super::{FirstHeard, InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl};
+use super::{FirstHeard, InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl, run_number};
 use crate::channel;
 use crate::clock::Epoch;
 use crate::ports::{ChannelError, Clock as _, MAP_PAUSE, Ports, ReadPort, WriteMapPort, WritePort};
@@ -129,8 +129,7 @@ pub struct BaseLink<P: Ports, T, S> {
 impl<P: Ports, T: Transport, S: StopControl> BaseLink<P, T, S> {
     /// Opens the channels. `session` is a random number that tells this base from every other.
     pub fn open(ports: &P, run: &Run, transport: T, stop: S, session: u64) -> Result<Self, ChannelError> {
-        let robots =
-            run.robots().map(|robot| RobotMirror::open(ports, robot, run.config.robot_name(robot), session));
+        let robots = run.robots().map(|robot| RobotMirror::open(ports, robot, run, session));
         let listeners = run.robots().map(|robot| ports.listener(&channel::command(robot)));
         Ok(Self {
             transport,
@@ -188,11 +187,11 @@ impl<P: Ports, T, S> Listens<P::Listener> for BaseLink<P, T, S> {
 }
 
 impl<P: Ports> RobotMirror<P> {
-    fn open(ports: &P, robot: RobotId, name: String, session: u64) -> Result<Self, ChannelError> {
+    fn open(ports: &P, robot: RobotId, run: &Run, session: u64) -> Result<Self, ChannelError> {
         Ok(Self {
             robot,
-            name,
-            end: BaseEnd::new(session),
+            name: run.config.robot_name(robot),
+            end: BaseEnd::new(session, run_number(run)),
             clock: SourceClock::new(ClockOffset::Measured),
             pose_estimates: 0,
             told: Told {

@@ -1,6 +1,6 @@
 //! The link's end on a robot's machine: its map, poses and state go to the base, velocities and the stop come back.
 
-use super::{FirstHeard, InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl};
+use super::{FirstHeard, InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl, run_number};
 use crate::channel;
 use crate::clock::Epoch;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
@@ -182,12 +182,6 @@ impl Told {
         }
         *self = new;
     }
-}
-
-/// Returns a number that other runs of this machine do not have, above 0.
-fn run_number(run: &Run) -> u32 {
-    let begun = run.begun.0;
-    (begun as u32 ^ (begun >> 32) as u32 ^ run.pid.rotate_left(16)).max(1)
 }
 
 impl<P: Ports, T: Transport, S: StopControl> ProcessLoop for RobotLink<P, T, S> {

@@ -1,7 +1,7 @@
 //! This machine's emergency stop, as the link reads and sets it. `link::StopFollower` decides when a robot's is set.
 
 use crate::control::{self, Request};
-use crate::emergency_stop_file::latch_while;
+use crate::emergency_stop_file::{LatchedStop, latch_while};
 use crate::process::control::saved_state::stop_file;
 use crate::run::Run;
 use ::link::LocalControl;
@@ -33,20 +33,21 @@ pub trait StopControl {
 #[derive(Debug)]
 pub struct RunStop {
     state: Arc<Mutex<LocalControl>>,
-    requests: SyncSender<bool>,
+    /// The newest request that the thread has not taken.
+    newest: Arc<Mutex<Option<bool>>>,
+    wake: SyncSender<()>,
 }
 
 impl RunStop {
     /// Starts the thread, which asks the bridge once a `period` and ends with this value.
     pub fn start(run: &Run, period: Duration) -> io::Result<Self> {
-        let state = Arc::new(Mutex::default());
-        // The newest request counts; two wait while the disk or the bridge is slow.
-        let (requests, received) = sync_channel(2);
-        let (run, shared) = (run.clone(), state.clone());
+        let (state, newest) = (Arc::new(Mutex::default()), Arc::new(Mutex::default()));
+        let (wake, woken) = sync_channel(1);
+        let (run, shared, requests) = (run.clone(), state.clone(), newest.clone());
         std::thread::Builder::new()
             .name("stop".into())
-            .spawn(move || serve(&run, period, &received, &shared))?;
-        Ok(Self { state, requests })
+            .spawn(move || serve(&run, period, &woken, &requests, &shared))?;
+        Ok(Self { state, newest, wake })
     }
 }
 
@@ -56,19 +57,54 @@ impl StopControl for RunStop {
     }
 
     fn request(&mut self, stop: bool) {
-        // A full queue holds the same request, or the next state of the base repeats it.
-        let _ = self.requests.try_send(stop);
+        *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(stop);
+        // A full queue wakes the thread, too.
+        let _ = self.wake.try_send(());
     }
 }
 
-fn serve(run: &Run, period: Duration, requests: &Receiver<bool>, state: &Mutex<LocalControl>) {
-    loop {
-        let request = match requests.recv_timeout(period) {
-            Ok(true) => Request::Stop,
-            Ok(false) => Request::Release,
-            Err(RecvTimeoutError::Timeout) => Request::State,
-            Err(RecvTimeoutError::Disconnected) => return,
-        };
+/// What the bridge is asked next. A release that no bridge has answered is repeated.
+#[derive(Debug, Default)]
+struct NextRequest {
+    /// The stop on the disk that the release was for.
+    unanswered: Option<LatchedStop>,
+}
+
+impl NextRequest {
+    /// Returns the next request. `stop`: what is to be done, if that is new; `latched`: the stop on the disk.
+    fn choose(&mut self, stop: Option<bool>, latched: Option<LatchedStop>) -> Request {
+        let is_same = self.unanswered.is_some() && self.unanswered == latched;
+        match stop {
+            Some(true) => self.unanswered = None,
+            Some(false) => self.unanswered = latched,
+            // It is not for a stop that somebody has set since.
+            None if !is_same => self.unanswered = None,
+            None => {}
+        }
+        match (stop, self.unanswered) {
+            (Some(true), _) => Request::Stop,
+            (None, None) => Request::State,
+            (Some(false), _) | (None, Some(_)) => Request::Release,
+        }
+    }
+
+    /// Records that a bridge has answered.
+    fn on_answer(&mut self) {
+        self.unanswered = None;
+    }
+}
+
+fn serve(
+    run: &Run,
+    period: Duration,
+    woken: &Receiver<()>,
+    newest: &Mutex<Option<bool>>,
+    state: &Mutex<LocalControl>,
+) {
+    let mut next = NextRequest::default();
+    while woken.recv_timeout(period) != Err(RecvTimeoutError::Disconnected) {
+        let stop = newest.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let request = next.choose(stop, LatchedStop::look(&stop_file(&run.dir)));
         let ask = || control::ask(run, request, PATIENCE);
         let (asked, latched) = match request {
             Request::Stop => latch_while(&stop_file(&run.dir), ask),
@@ -76,6 +112,9 @@ fn serve(run: &Run, period: Duration, requests: &Receiver<bool>, state: &Mutex<L
         };
         if let Err(why) = latched {
             tracing::warn!("the emergency stop of the base is not on the disk: {why}");
+        }
+        if asked.is_ok() {
+            next.on_answer();
         }
         let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
         *state = match asked {
@@ -86,5 +125,39 @@ fn serve(run: &Run, period: Duration, requests: &Receiver<bool>, state: &Mutex<L
             },
             Err(_) => LocalControl { is_stopped: None, ..*state },
         };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::emergency_stop_file::latch_stop;
+    use crate::storage::DiskStorage;
+    use msg::Monotonic;
+
+    #[test]
+    fn a_release_that_no_bridge_answers_is_repeated_for_the_same_stop_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = stop_file(folder.path());
+        let latched = || {
+            latch_stop(&DiskStorage, &path, Monotonic(1)).unwrap();
+            LatchedStop::look(&path)
+        };
+        let first = latched();
+        let mut next = NextRequest::default();
+        assert_eq!(next.choose(Some(false), first), Request::Release);
+        assert_eq!(next.choose(None, first), Request::Release, "the bridge is being started");
+        next.on_answer();
+        assert_eq!(next.choose(None, first), Request::State);
+
+        assert_eq!(next.choose(Some(false), first), Request::Release);
+        let second = latched();
+        assert_eq!(next.choose(None, second), Request::State, "somebody has stopped the robot again");
+        assert_eq!(next.choose(None, first), Request::State);
+        assert_eq!(next.choose(Some(false), second), Request::Release);
+        assert_eq!(next.choose(Some(true), second), Request::Stop, "the base has stopped again");
+        assert_eq!(next.choose(None, second), Request::State);
+        assert_eq!(next.choose(Some(false), None), Request::Release);
+        assert_eq!(next.choose(None, None), Request::State, "no bridge starts with a stop");
     }
 }

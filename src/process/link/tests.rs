@@ -166,11 +166,13 @@ impl RobotSide {
 }
 
 impl BaseSide {
+    /// The only link process of its base's run.
     fn new(cable: Cable, session: u64) -> Self {
         let network = Network::new(FaultPlan::none());
         let stop = Stop::default();
-        let link =
-            BaseLink::open(&link_ports(&network), &run(RobotSource::Robots), cable, stop.clone(), session);
+        let mut run = run(RobotSource::Robots);
+        run.begun = Monotonic(session);
+        let link = BaseLink::open(&link_ports(&network), &run, cable, stop.clone(), session);
         let merge = ports(&network, Role::Merge);
         Self {
             link: link.unwrap(),
