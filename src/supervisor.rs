@@ -11,7 +11,7 @@ use crate::fleet;
 use crate::process::control::saved_state::stop_file;
 use crate::processes::ProcessRow;
 use crate::progress::{self, ProgressBoard, WatchedThread};
-use crate::restarts::{RestartPolicy, failing_text};
+use crate::restarts::{CleaningWait, RestartPolicy, failing_text};
 use crate::run::{Run, restore_folder};
 use crate::runtime_folder::Lock;
 use crate::sessions;
@@ -63,6 +63,8 @@ pub struct Supervisor {
     listener: TcpListener,
     members: Vec<Member>,
     progress: ProgressBoard,
+    /// Wait for what dead children left in shared memory.
+    cleaning: CleaningWait,
     folder: RunFolder,
     /// Why the run's folder, without which no process starts, cannot be used at present.
     folder_error: Option<String>,
@@ -93,6 +95,7 @@ impl Supervisor {
             listener,
             progress: ProgressBoard::create(&run.domain, run.progress_slots())?,
             members,
+            cleaning: CleaningWait::default(),
             folder: RunFolder::Original,
             folder_error: None,
             starts_error: None,
@@ -119,14 +122,15 @@ impl Supervisor {
         for member in &mut self.members {
             died |= notice_death(member, tell);
         }
-        if died {
-            self.run.domain.clean_up_after_the_dead();
-        }
+        let clean_up = || self.run.domain.clean_up_after_the_dead();
+        let may_start = self.cleaning.may_start(died, now(), clean_up);
         self.replace_hung(tell);
         let mut order: Vec<usize> = (0..self.members.len()).collect();
         order.sort_by_key(|index| start_rank(self.members[*index].row.role));
         for index in order {
-            self.start_if_due(index, last_seen, tell);
+            if may_start {
+                self.start_if_due(index, last_seen, tell);
+            }
             // The next poll says it again if this one cannot.
             let _ = self.progress.set_failing(index, self.members[index].policy.is_failing(now()));
         }

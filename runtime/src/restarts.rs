@@ -111,6 +111,29 @@ pub fn failing_text() -> String {
     )
 }
 
+/// Longest time for which starts wait until another process has removed what a dead one left: that process may hang itself.
+const CLEANING_MAX: Duration = Duration::from_secs(5);
+
+/// Wait until what dead processes left is removed. Until then their places in channels are taken, and a process that is started in
+/// their stead would not get them.
+#[derive(Debug, Default)]
+pub struct CleaningWait {
+    since: Option<Monotonic>,
+}
+
+impl CleaningWait {
+    /// Removes by `clean` what the dead left, if a process `died` or another one was removing it before; `clean` returns whether
+    /// another one is. Returns whether processes may be started.
+    pub fn may_start(&mut self, died: bool, now: Monotonic, clean: impl FnOnce() -> bool) -> bool {
+        if !died && self.since.is_none() {
+            return true;
+        }
+        let since = self.since.filter(|_| !died).unwrap_or(now);
+        self.since = (clean() && now < since + CLEANING_MAX).then_some(since);
+        self.since.is_none()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -168,5 +191,21 @@ mod tests {
         assert!(policy.is_failing(Monotonic(2 * SECOND)) && !policy.is_failing(well));
         policy.on_death(well);
         assert!(!policy.is_failing(well) && policy.is_due(well));
+    }
+
+    #[test]
+    fn nothing_is_started_while_another_process_cleans_up_after_a_dead_one() {
+        let mut wait = CleaningWait::default();
+        let at = |s: u64| Monotonic(s * 1_000_000_000);
+        assert!(wait.may_start(false, at(0), || unreachable!("nobody died")));
+        assert!(wait.may_start(true, at(1), || false));
+        assert!(!wait.may_start(true, at(2), || true), "another process cleans up");
+        assert!(!wait.may_start(false, at(3), || true));
+        assert!(wait.may_start(false, at(4), || false), "it is done");
+        assert!(!wait.may_start(true, at(10), || true));
+        assert!(!wait.may_start(true, at(13), || true), "one more died");
+        assert!(!wait.may_start(false, at(17), || true));
+        assert!(wait.may_start(false, at(18), || true), "it hangs");
+        assert!(wait.may_start(false, at(19), || unreachable!("it is not waited for again")));
     }
 }

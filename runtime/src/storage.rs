@@ -148,7 +148,7 @@ mod tests {
             ["1", "2", "9"]
         );
         assert_eq!(read("robot1.slam"), "one more");
-        std::fs::remove_file(&path).unwrap();
-        assert!(keep_unusable(&DiskStorage, &path).contains("cannot be renamed"));
+        let missing = keep_unusable(&DiskStorage, &folder.path().join("missing"));
+        assert!(missing.contains("cannot be renamed"), "{missing}");
     }
 }

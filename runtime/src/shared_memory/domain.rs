@@ -137,15 +137,18 @@ impl Domain {
         Ok(Self { config, prefix, root })
     }
 
-    /// Removes what dead processes of this run left behind. Safe at any time.
-    pub fn clean_up_after_the_dead(&self) {
+    /// Removes what dead processes of this run left behind. Safe at any time. Returns whether another process is removing some of
+    /// it at this moment: places in channels are taken until it has.
+    pub fn clean_up_after_the_dead(&self) -> bool {
         let _held = HeldSignals::hold();
+        let mut others_clean = false;
         let _ = iceoryx2::node::Node::<ipc::Service>::list(&self.config, |state| {
             if let NodeState::Dead(dead) = state {
                 let id = *dead.id();
                 match dead.try_remove_stale_resources() {
                     Ok(()) | Err(NodeCleanupFailure::ResourcesAlreadyCleanedUp) => (),
                     Err(why @ NodeCleanupFailure::AnotherInstanceIsCleaningUpTheNode) => {
+                        others_clean = true;
                         tracing::debug!("shared memory of the dead process {id:?}: {why:?}");
                     }
                     Err(why) => tracing::warn!("shared memory of the dead process {id:?} stays: {why:?}"),
@@ -153,6 +156,7 @@ impl Domain {
             }
             CallbackProgression::Continue
         });
+        others_clean
     }
 
     /// Opens a writer's port. While all places of its channel are taken, removes what dead processes left and tries again: another
