@@ -150,8 +150,8 @@ fn is_below_action(rest: &str) -> bool {
 
 /// Returns whether the navigator must report now and then in this state.
 fn reports_regularly(status: NavigationStatus) -> bool {
-    use NavigationStatus::{Blocked, Driving, Planning, Recovering, Waiting};
-    matches!(status, Planning | Driving | Waiting | Blocked | Recovering)
+    use NavigationStatus::{Blocked, Driving, Paused, Planning, Recovering, Waiting};
+    matches!(status, Planning | Driving | Waiting | Blocked | Recovering | Paused)
 }
 
 #[cfg(test)]

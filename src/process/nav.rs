@@ -294,8 +294,8 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> ProcessLoop for NavigationProcess
         let counters = HealthCounters { refused: self.refused, ..HealthCounters::default() };
         if now >= self.heartbeat.due() {
             self.robots.iter().for_each(|channels| channels.outputs.refresh());
-            self.exploration.publish(self.epoch.stamp(now), now);
-            self.zones.publish(self.epoch.stamp(now));
+            // A goal that is paused is reported, too.
+            self.publish(now, false);
             self.save();
             self.exploration.refresh();
             self.zones.refresh();

@@ -5,7 +5,7 @@ use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
 use mr_slam::lockstep::client::Client;
 use mr_slam::lockstep::faults::{Fault, FaultPlan};
-use msg::{GroundTruth, Monotonic, Pose2, PoseEstimate, TrackingState, VelocityCommand};
+use msg::{GroundTruth, Monotonic, NavigationReport, Pose2, PoseEstimate, TrackingState, VelocityCommand};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -259,6 +259,19 @@ fn a_robot_whose_slam_is_paused_is_not_driven_and_goes_on_afterwards() {
     assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
     assert!(at.distance_m(scene.truth().0) > 0.5, "it went on after {at:?}");
     assert_eq!(newest(&scene).state(), TrackingState::Tracking);
+}
+
+#[test]
+fn a_goal_that_is_paused_is_reported_each_second() {
+    let mut scene = disturbed(|_| Fault::EmergencyStop(Duration::from_secs(60)));
+    assert!(scene.run(10.0, |state| state["state"] == "paused"), "{}", scene.state);
+    let reports =
+        |scene: &Scene| scene.messages["robot1/navigation_state"].len() / size_of::<NavigationReport>();
+    let before = reports(&scene);
+    scene.run(10.0, |_| false);
+    assert!(scene.is("paused"), "{}", scene.state);
+    let count = reports(&scene) - before;
+    assert!((5..=11).contains(&count), "{count} reports in 10 s");
 }
 
 /// The square of 0.6 m around a point of the map.

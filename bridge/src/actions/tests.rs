@@ -60,7 +60,7 @@ fn goals_and_waiting_requests_are_bounded_and_results_are_forgotten() {
 }
 
 #[test]
-fn a_navigator_that_does_not_answer_ends_the_goal_and_a_paused_robot_does_not() {
+fn a_navigator_that_does_not_answer_ends_the_goal_also_in_a_pause() {
     let report = |status: NavigationStatus| NavigationReport {
         number: 1,
         status: status as u32,
@@ -75,8 +75,14 @@ fn a_navigator_that_does_not_answer_ends_the_goal_and_a_paused_robot_does_not() 
     driving.apply_report(&report(NavigationStatus::Driving), later(1));
     assert_eq!(driving.status(), GoalStatus::Executing);
     assert!(!driving.end_if_silent(later(30)));
-    driving.apply_report(&report(NavigationStatus::Paused), later(30));
-    assert!(!driving.end_if_silent(later(3000)), "a person may take the time");
+    for second in 30..3000 {
+        driving.apply_report(&report(NavigationStatus::Paused), later(second));
+        assert!(!driving.end_if_silent(later(second + 1)), "a person may take the time");
+    }
+    let mut gone = goal(1, NOW);
+    gone.apply_report(&report(NavigationStatus::Paused), later(2999));
+    assert!(!gone.end_if_silent(later(3028)) && gone.end_if_silent(later(3029)));
+    assert_eq!(gone.status(), GoalStatus::Aborted);
     driving.begin_cancel(later(3000));
     assert!(driving.end_if_silent(later(3005)));
     driving.apply_report(&report(NavigationStatus::Reached), later(3006));

@@ -9,7 +9,7 @@ use msg::{
     Stamp, VelocityCommand,
 };
 
-/// Period of the states while a goal is pursued, nanoseconds.
+/// Period of the states while there is a goal, pursued or paused, nanoseconds: silence means that the process is gone.
 const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 /// Waypoints to a point of the published plan: one each 0.1 m on maps of 0.05 m.
 const PLAN_STRIDE: usize = 2;
@@ -83,7 +83,8 @@ impl<P: Ports> RobotOutputs<P> {
         let is_due = match self.reported {
             None => decision.goal != 0 || decision.has_command,
             Some((before, at)) => {
-                before != reported || (state.is_active() && now.since(at) >= REPORT_PERIOD_NS)
+                let has_goal = state.is_active() || state == NavigationState::Paused;
+                before != reported || (has_goal && now.since(at) >= REPORT_PERIOD_NS)
             }
         };
         // The state comes first: the bridge then knows that the navigator drives.
