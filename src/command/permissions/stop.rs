@@ -10,7 +10,7 @@ use crate::other_fleets::OtherFleet;
 use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport};
 use crate::run::{LostFleet, Run, RunError, RunningFleets, has_remote_robots, runtime_folder_of};
-use crate::runtime_folder::has_launcher;
+use crate::runtime_folder::{TrustError, has_launcher};
 use crate::storage::{DiskStorage, Storage};
 use msg::{Monotonic, PauseReason};
 use reports::BridgeState;
@@ -47,6 +47,9 @@ struct StoppedFleet {
     unconfirmed: Vec<String>,
     /// Robots of which this base has heard nothing yet.
     unheard: Vec<String>,
+    /// Number of the user whose run it is, if that is another one: this user's trust ends there, and its bridge is not asked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    owner: Option<u32>,
     /// The fleet, if its run's folder cannot be read.
     #[serde(skip_serializing_if = "Option::is_none")]
     lost: Option<LostFleet>,
@@ -65,6 +68,7 @@ impl From<OtherFleet> for StoppedFleet {
             why: Some(other.to_string()),
             unconfirmed: Vec::new(),
             unheard: Vec::new(),
+            owner: None,
             lost: None,
             other: Some(other),
         }
@@ -88,6 +92,7 @@ impl StoppedFleet {
         }
         let why = self.why.as_deref().unwrap_or_default();
         let unconfirmed = self.unconfirmed.join(", ");
+        let owner = self.owner.unwrap_or_default();
         let (all, unheard) = match self.unheard.as_slice() {
             [] => ("every robot", String::new()),
             names => (
@@ -105,6 +110,11 @@ impl StoppedFleet {
             ),
             (true, true) => format!("{all} is stopped until `mr-slam release`"),
             (true, false) => format!("{all} is stopped, but not across a restart: {why}"),
+            (false, true) if self.owner.is_some() => format!(
+                "NOT CONFIRMED: the run is of user {owner}, whose bridge is not asked; the stop is in its folder, and the bridge sets \
+                 it within a second if it runs and answers. Whether it has, only that user sees: `mr-slam status` as user {owner}, \
+                 e.g. by sudo -u '#{owner}'"
+            ),
             (false, true) => {
                 format!(
                     "NOT CONFIRMED: the stop is latched, and the bridge sets it as soon as it goes on or is replaced; until then it \
@@ -209,6 +219,7 @@ fn stop_lost(fleet: LostFleet) -> StoppedFleet {
         why: Some(why_not.unwrap_or_else(|| "its run's folder cannot be read".into())),
         unconfirmed,
         unheard: Vec::new(),
+        owner: None,
         lost: Some(fleet),
         other: None,
     }
@@ -240,7 +251,11 @@ fn confirm(dir: PathBuf) -> StoppedFleet {
     let (confirmed, latched) = (asked.is_ok(), written.is_ok());
     let [unconfirmed, unheard] = asked.as_ref().ok().cloned().unwrap_or_default();
     let why = written.err().or(asked.err());
-    StoppedFleet { run: dir, confirmed, latched, why, unconfirmed, unheard, lost: None, other: None }
+    let owner = match runtime_folder_of(&dir) {
+        Err(RunError::Trust(TrustError::Owner { owner, .. })) => Some(owner),
+        _ => None,
+    };
+    StoppedFleet { run: dir, confirmed, latched, why, unconfirmed, unheard, owner, lost: None, other: None }
 }
 
 /// Returns the names of the robots on other machines that do not say in time that they are stopped, and of those that the base

@@ -9,6 +9,7 @@ use formats::map_file::MapFileError;
 use msg::{Grid, GridView, NavigationAction, RobotId};
 use saved_state::stop_file;
 use std::net::IpAddr;
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex};
 
@@ -38,6 +39,10 @@ impl StalledDisk {
 impl Storage for StalledDisk {
     fn read(&self, path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
         self.wait();
+        // Root may read any file: here it is a user who may not.
+        if path.metadata().is_ok_and(|about| about.permissions().mode() & 0o777 == 0) {
+            return Err(io::ErrorKind::PermissionDenied.into());
+        }
         DiskStorage.read(path, bytes_max)
     }
 
@@ -128,6 +133,21 @@ fn a_stop_that_comes_by_the_disk_is_set_and_survives_an_earlier_release() {
     latch_stop(&DiskStorage, &stop_file(&run.dir), Monotonic(2)).unwrap();
     assert!(block_on(answer(&control, Request::Deny([10, 0, 0, 7].into()), now)).unwrap().stopped);
     assert!(stop_file(&run.dir).exists());
+}
+
+#[test]
+fn a_stop_that_only_another_user_may_read_is_set_and_can_be_released() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path());
+    let disk = StalledDisk::new();
+    let control = control_on(&run, &disk);
+    let path = stop_file(&run.dir);
+    for stop in 1..3 {
+        latch_stop(&DiskStorage, &path, Monotonic(stop)).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0)).unwrap();
+        assert!(block_on(answer(&control, Request::Allow([10, 0, 0, 7].into()), now)).unwrap().stopped);
+        assert!(!block_on(answer(&control, Request::Release, now)).unwrap().stopped && !path.exists());
+    }
 }
 
 #[test]

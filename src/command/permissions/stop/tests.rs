@@ -20,6 +20,23 @@ fn confirm_stop(mut stream: UnixStream) {
 }
 
 #[test]
+fn a_stop_in_another_users_run_says_what_holds() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("run.json");
+    std::fs::write(&json, "{}").unwrap();
+    let is_root = std::os::unix::fs::chown(&json, Some(65_533), None).is_ok();
+    let fleet = confirm(folder.path().into());
+    assert!(fleet.latched && !fleet.confirmed && stop_file(folder.path()).exists());
+    if is_root {
+        let line = fleet.line();
+        assert!(
+            line.contains("NOT CONFIRMED") && line.contains("user 65533") && line.contains("sets it"),
+            "{line}"
+        );
+    }
+}
+
+#[test]
 fn fleets_of_other_users_do_not_change_the_exit_code() {
     let other = |is_own| {
         StoppedFleet::from(OtherFleet { process: 7, user: "somebody".into(), is_own, run_dir: None })
