@@ -40,6 +40,17 @@ impl ScanRate {
         Self { period_ms: self.period_ms.max(other.period_ms), beams: self.beams.min(other.beams) }
     }
 
+    /// Reads what is asked for: `Some(None)` for nothing, `None` if a number is out of range.
+    pub(crate) fn read(from: &mut Reader<'_>) -> Result<Option<Option<Self>>, WireError> {
+        Ok(match (from.u16()?, from.u16()?) {
+            (0, 0) => Some(None),
+            (period_ms @ 1.., beams @ 1..) if usize::from(beams) <= SCAN_BEAMS_MAX => {
+                Some(Some(Self { period_ms, beams }))
+            }
+            _ => None,
+        })
+    }
+
     /// Returns the shortest time between two scans.
     pub fn period(self) -> Duration {
         Duration::from_millis(self.period_ms.into())

@@ -5,7 +5,7 @@
 pub use crate::error::{VERSION, WireError};
 use crate::part::{KEY_BYTES, PartKey};
 use crate::reader::Reader;
-use crate::scan::{DecimatedScan, SCAN_BEAMS_MAX, ScanRate};
+use crate::scan::{DecimatedScan, ScanRate};
 pub use crate::size::{HEAD_BYTES, MESSAGE_MAX};
 use crate::table::Kind;
 use msg::{
@@ -240,7 +240,7 @@ impl Message {
                 run: from.u32()?,
                 is_stopped: from.flag().ok_or(wrong)?,
                 is_known: from.flag().ok_or(wrong)?,
-                scans: read_scan_rate(from)?.ok_or(wrong)?,
+                scans: ScanRate::read(from)?.ok_or(wrong)?,
             }),
             Kind::Scan => Self::Scan(Box::new(DecimatedScan::read(from)?.ok_or(wrong)?)),
             Kind::Velocity => {
@@ -284,17 +284,6 @@ fn read_robot_state(from: &mut Reader<'_>) -> Result<Option<RobotState>, WireErr
         interruptions: from.u32()?,
     };
     Ok(Some(state).filter(|_| flags < 16))
-}
-
-/// Reads what is asked for: `Some(None)` for nothing, `None` if a number is out of range.
-fn read_scan_rate(from: &mut Reader<'_>) -> Result<Option<Option<ScanRate>>, WireError> {
-    Ok(match (from.u16()?, from.u16()?) {
-        (0, 0) => Some(None),
-        (period_ms @ 1.., beams @ 1..) if usize::from(beams) <= SCAN_BEAMS_MAX => {
-            Some(Some(ScanRate { period_ms, beams }))
-        }
-        _ => None,
-    })
 }
 
 fn write_f64s(to: &mut Vec<u8>, values: &[f64]) {

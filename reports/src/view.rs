@@ -12,8 +12,7 @@ pub use slam::{ClosureView, SlamView};
 
 use crate::BridgeState;
 use msg::{
-    Distribution, FleetStats, MAP_OLD_AFTER_S, MergeEdges, Pose2, ProcessStats, RobotId, RobotStats, Role,
-    TrackingState,
+    Distribution, FleetStats, MAP_OLD_AFTER_S, Pose2, ProcessStats, RobotId, RobotStats, Role, TrackingState,
 };
 use serde::Serialize;
 
@@ -265,19 +264,6 @@ impl FleetView {
             processes: stats.processes.iter().filter_map(ProcessView::new).collect(),
             bridge: None,
             bridge_silence: None,
-        }
-    }
-}
-
-impl FleetView {
-    /// Adds what merging says of the robots' maps.
-    #[must_use]
-    pub fn with_edges(self, edges: &MergeEdges) -> Self {
-        Self {
-            merge_edges: edges.edges().iter().map(EdgeView::new).collect(),
-            contradicted_starts: edges.contradicted_starts().map(|robot| robot.to_string()).collect(),
-            edges_unsaved: edges.unsaved != 0,
-            ..self
         }
     }
 }

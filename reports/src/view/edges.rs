@@ -1,5 +1,6 @@
 //! Merge edges as people and programs read them.
 
+use super::FleetView;
 use msg::{AlignmentRefusal, EdgeState, MergeEdge, MergeEdges};
 use serde::Serialize;
 use std::fmt::{self, Write};
@@ -105,6 +106,19 @@ impl fmt::Display for EdgeView {
             figure(self.null_f1_max, 2),
             figure(self.overlap_m2, 0),
         )
+    }
+}
+
+impl FleetView {
+    /// Adds what merging says of the robots' maps.
+    #[must_use]
+    pub fn with_edges(self, edges: &MergeEdges) -> Self {
+        Self {
+            merge_edges: edges.edges().iter().map(EdgeView::new).collect(),
+            contradicted_starts: edges.contradicted_starts().map(|robot| robot.to_string()).collect(),
+            edges_unsaved: edges.unsaved != 0,
+            ..self
+        }
     }
 }
 

@@ -347,19 +347,6 @@ mod tests {
     }
 
     #[test]
-    fn a_state_that_cannot_be_read_is_not_overwritten() {
-        let folder = tempfile::tempdir().unwrap();
-        let run = run_in(folder.path());
-        std::fs::write(run.dir.join(STATE_FILE), "{").unwrap();
-        let mut process = Process::start(&run, at_ms(0));
-        process.send(HOLDER, "/selected_robot", &Int32(2), at_ms(10));
-        process.update(at_ms(30));
-        let kept = run.dir.join(format!("{STATE_FILE}.unreadable"));
-        assert_eq!(std::fs::read_to_string(kept).unwrap(), "{");
-        assert_eq!(Process::start(&run, at_ms(40)).bridge.selected_robot().number(), 2);
-    }
-
-    #[test]
     fn the_emergency_stop_on_the_disk_is_the_bridges() {
         let folder = tempfile::tempdir().unwrap();
         let run = run_in(folder.path());

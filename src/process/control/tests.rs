@@ -136,6 +136,19 @@ fn a_stop_that_comes_by_the_disk_is_set_and_survives_an_earlier_release() {
 }
 
 #[test]
+fn a_state_that_cannot_be_read_is_not_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path());
+    let disk = StalledDisk::new();
+    std::fs::write(run.dir.join("bridge.json"), "{").unwrap();
+    let control = control_on(&run, &disk);
+    block_on(answer(&control, Request::Allow([10, 0, 0, 7].into()), now)).unwrap();
+    let content = |name: &str| std::fs::read_to_string(run.dir.join(name)).unwrap();
+    assert_eq!(content("bridge.json.unreadable"), "{");
+    assert!(content("bridge.json").contains("10.0.0.7"));
+}
+
+#[test]
 fn a_stop_that_only_another_user_may_read_is_set_and_can_be_released() {
     let folder = tempfile::tempdir().unwrap();
     let run = run_in(folder.path());
@@ -144,7 +157,7 @@ fn a_stop_that_only_another_user_may_read_is_set_and_can_be_released() {
     let path = stop_file(&run.dir);
     for stop in 1..3 {
         latch_stop(&DiskStorage, &path, Monotonic(stop)).unwrap();
-        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0)).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o0)).unwrap();
         assert!(block_on(answer(&control, Request::Allow([10, 0, 0, 7].into()), now)).unwrap().stopped);
         assert!(!block_on(answer(&control, Request::Release, now)).unwrap().stopped && !path.exists());
     }
