@@ -241,6 +241,7 @@ fn load_into_another_fleet(folder: &Folder, map: &Path, kept: &Path, mapped: u64
     for (file, args, mode) in [(map, vec!["--localize"], "localization"), (kept, vec![], "mapping")] {
         let loaded = answer(&dir, "robot1", &[vec!["load", text(file)], args].concat());
         assert_eq!(loaded["mode"], mode, "{loaded}");
+        assert!(loaded["text"].as_str().is_some_and(|text| text.contains("of another run")), "{loaded}");
         fleet.until("the robot found in what was loaded", |view| {
             let found = located(&dir);
             found && view.robots[0].pose_error_m.is_some_and(|error| error < 0.15)

@@ -227,11 +227,8 @@ impl<P: Ports> Services<P> {
         let outcome = result.map(|loaded| {
             let text = match &loaded {
                 Some(loaded) => {
-                    format!(
-                        "{}: {} nodes; the robot is looked for",
-                        path.display(),
-                        loaded.back.nodes().len()
-                    )
+                    let (nodes, note) = (loaded.back.nodes().len(), loaded.note);
+                    format!("{}: {nodes} nodes; the robot is looked for{note}", path.display())
                 }
                 None => path.display().to_string(),
             };
