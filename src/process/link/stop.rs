@@ -1,6 +1,6 @@
 //! This machine's emergency stop, as the link reads and sets it. `link::StopFollower` decides when a robot's is set.
 
-use crate::control::{self, Request};
+use crate::control::{self, AskError, Request};
 use crate::emergency_stop_file::{LatchedStop, latch_while};
 use crate::process::control::saved_state::stop_file;
 use crate::run::Run;
@@ -63,34 +63,37 @@ impl StopControl for RunStop {
     }
 }
 
-/// What the bridge is asked next. A release that no bridge has answered is repeated.
+/// What the bridge is asked next. A release that no bridge has received is repeated.
 #[derive(Debug, Default)]
 struct NextRequest {
-    /// The stop on the disk that the release was for.
-    unanswered: Option<LatchedStop>,
+    /// The stop on the disk for which a release waits.
+    waiting: Option<LatchedStop>,
 }
 
 impl NextRequest {
     /// Returns the next request. `stop`: what is to be done, if that is new; `latched`: the stop on the disk.
     fn choose(&mut self, stop: Option<bool>, latched: Option<LatchedStop>) -> Request {
-        let is_same = self.unanswered.is_some() && self.unanswered == latched;
+        let is_same = self.waiting.is_some() && self.waiting == latched;
         match stop {
-            Some(true) => self.unanswered = None,
-            Some(false) => self.unanswered = latched,
+            Some(true) => self.waiting = None,
+            Some(false) => self.waiting = latched,
             // It is not for a stop that somebody has set since.
-            None if !is_same => self.unanswered = None,
+            None if !is_same => self.waiting = None,
             None => {}
         }
-        match (stop, self.unanswered) {
+        match (stop, self.waiting) {
             (Some(true), _) => Request::Stop,
             (None, None) => Request::State,
             (Some(false), _) | (None, Some(_)) => Request::Release,
         }
     }
 
-    /// Records that a bridge has answered.
-    fn on_answer(&mut self) {
-        self.unanswered = None;
+    /// Ends the wait unless no bridge listened. One that did may still carry out the release, whatever the answer was: a second
+    /// one could release a stop that somebody has set since.
+    fn on_result<T>(&mut self, result: &Result<T, AskError>) {
+        if !matches!(result, Err(AskError::NoAnswer { is_listening: false, .. })) {
+            self.waiting = None;
+        }
     }
 }
 
@@ -113,9 +116,7 @@ fn serve(
         if let Err(why) = latched {
             tracing::warn!("the emergency stop of the base is not on the disk: {why}");
         }
-        if asked.is_ok() {
-            next.on_answer();
-        }
+        next.on_result(&asked);
         let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
         *state = match asked {
             Ok(bridge) => LocalControl {
@@ -135,8 +136,12 @@ mod tests {
     use crate::storage::DiskStorage;
     use msg::Monotonic;
 
+    fn no_answer(is_listening: bool) -> Result<(), AskError> {
+        Err(AskError::NoAnswer { source: io::ErrorKind::TimedOut.into(), is_listening })
+    }
+
     #[test]
-    fn a_release_that_no_bridge_answers_is_repeated_for_the_same_stop_alone() {
+    fn a_release_that_no_bridge_receives_is_repeated_for_the_same_stop_alone() {
         let folder = tempfile::tempdir().unwrap();
         let path = stop_file(folder.path());
         let latched = || {
@@ -146,11 +151,9 @@ mod tests {
         let first = latched();
         let mut next = NextRequest::default();
         assert_eq!(next.choose(Some(false), first), Request::Release);
+        next.on_result(&no_answer(false));
         assert_eq!(next.choose(None, first), Request::Release, "the bridge is being started");
-        next.on_answer();
-        assert_eq!(next.choose(None, first), Request::State);
 
-        assert_eq!(next.choose(Some(false), first), Request::Release);
         let second = latched();
         assert_eq!(next.choose(None, second), Request::State, "somebody has stopped the robot again");
         assert_eq!(next.choose(None, first), Request::State);
@@ -159,5 +162,21 @@ mod tests {
         assert_eq!(next.choose(None, second), Request::State);
         assert_eq!(next.choose(Some(false), None), Request::Release);
         assert_eq!(next.choose(None, None), Request::State, "no bridge starts with a stop");
+    }
+
+    #[test]
+    fn a_release_that_a_bridge_may_have_received_is_not_repeated() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = stop_file(folder.path());
+        latch_stop(&DiskStorage, &path, Monotonic(1)).unwrap();
+        let latched = LatchedStop::look(&path);
+        for result in [Ok(()), no_answer(true), Err(AskError::Refused("the disk is busy".into()))] {
+            let mut next = NextRequest::default();
+            assert_eq!(next.choose(Some(false), latched), Request::Release);
+            next.on_result(&no_answer(false));
+            assert_eq!(next.choose(None, latched), Request::Release);
+            next.on_result(&result);
+            assert_eq!(next.choose(None, latched), Request::State, "after {result:?}");
+        }
     }
 }
