@@ -111,26 +111,26 @@ pub fn failing_text() -> String {
     )
 }
 
-/// Longest time for which starts wait until another process has removed what a dead one left: that process may hang itself.
+/// Longest time for which starts wait until another process has removed what a dead one left: that process may hang or die itself.
 const CLEANING_MAX: Duration = Duration::from_secs(5);
 
 /// Wait until what dead processes left is removed. Until then their places in channels are taken, and a process that is started in
 /// their stead would not get them.
 #[derive(Debug, Default)]
 pub struct CleaningWait {
-    since: Option<Monotonic>,
+    /// End of the wait. It stays in the past while nothing is removed, so that further deaths begin no new wait.
+    until: Option<Monotonic>,
 }
 
 impl CleaningWait {
     /// Removes by `clean` what the dead left, if a process `died` or another one was removing it before; `clean` returns whether
     /// another one is. Returns whether processes may be started.
     pub fn may_start(&mut self, died: bool, now: Monotonic, clean: impl FnOnce() -> bool) -> bool {
-        if !died && self.since.is_none() {
-            return true;
+        if died || self.until.is_some_and(|until| now < until) {
+            let until = self.until.unwrap_or(now + CLEANING_MAX);
+            self.until = clean().then_some(until);
         }
-        let since = self.since.filter(|_| !died).unwrap_or(now);
-        self.since = (clean() && now < since + CLEANING_MAX).then_some(since);
-        self.since.is_none()
+        self.until.is_none_or(|until| now >= until)
     }
 }
 
@@ -204,8 +204,12 @@ mod tests {
         assert!(wait.may_start(false, at(4), || false), "it is done");
         assert!(!wait.may_start(true, at(10), || true));
         assert!(!wait.may_start(true, at(13), || true), "one more died");
-        assert!(!wait.may_start(false, at(17), || true));
-        assert!(wait.may_start(false, at(18), || true), "it hangs");
-        assert!(wait.may_start(false, at(19), || unreachable!("it is not waited for again")));
+        assert!(
+            wait.may_start(false, at(15), || unreachable!("it hangs")),
+            "the wait is not longer for that"
+        );
+        assert!(wait.may_start(true, at(16), || true), "it hangs for good");
+        assert!(wait.may_start(true, at(30), || false));
+        assert!(!wait.may_start(true, at(31), || true), "another one cleans up");
     }
 }
