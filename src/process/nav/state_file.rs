@@ -4,7 +4,7 @@
 
 use crate::job_thread::{JobRunner, JobWorker};
 use crate::run::Run;
-use crate::storage::{Storage, keep_unusable};
+use crate::storage::Storage;
 use ::nav::{GoalFrame, GoalPose, NavigationGoal};
 use msg::{Monotonic, PauseReason, RobotId};
 use serde::{Deserialize, Serialize};
@@ -150,12 +150,10 @@ impl<S: Storage> NavigationFile<S> {
             Ok(saved) if saved.run == self.run_begun => Found::State(Box::new(saved.state)),
             Ok(_) => Found::Nothing,
             Err(why) => {
-                let kept = match is_emptied {
-                    true => "the state could not be written".into(),
-                    false => format!("{why}; {}", keep_unusable(&self.storage, &self.path)),
-                };
+                // The file stays until the next state takes its place: without one, the process after this would begin as the first.
+                let why = if is_emptied { "the state could not be written".into() } else { why.to_string() };
                 tracing::warn!(
-                    "{}: navigation begins without goals, exploration and zones, and the robots stand: {kept}",
+                    "{}: navigation begins without goals, exploration and zones, and the robots stand: {why}",
                     self.path.display()
                 );
                 Found::Lost
@@ -234,6 +232,22 @@ impl<W: JobWorker<SavedState, bool>> StateWriter<W> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::storage::DiskStorage;
+
+    #[test]
+    fn a_state_that_cannot_be_read_is_lost_until_the_next_one_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(FILE);
+        let mut file = NavigationFile { storage: DiskStorage, path, run_begun: 7, has_warned: false };
+        assert_eq!(file.read(), Found::Nothing);
+        for damaged in ["", "{", "[]", r#"{"run": 7}"#] {
+            std::fs::write(&file.path, damaged).unwrap();
+            assert_eq!(file.read(), Found::Lost);
+            assert_eq!(file.read(), Found::Lost, "the first process was killed before it wrote a state");
+            assert!(file.run(&SavedState::default()));
+            assert_eq!(file.read(), Found::State(Box::default()));
+        }
+    }
 
     /// A disk that takes one job and does not answer.
     #[derive(Default)]
