@@ -220,10 +220,14 @@ pub fn create_folder(
     begin_with: Option<&Path>,
     is_own_frame: bool,
 ) -> Result<(), SessionsError> {
-    let real = |path: &Path| path.canonicalize().ok();
-    let is_continued = begin_with.and_then(real).is_some_and(|begun| real(folder) == Some(begun));
-    set_aside(folder, if is_continued { known.len() } else { 0 })?;
+    set_aside(folder, if is_continued(folder, begin_with) { known.len() } else { 0 })?;
     write_starts(folder, known, is_own_frame)
+}
+
+/// Returns whether a run begins with (`begin_with`) its own folder for sessions: those of the run before are there until it saves its own.
+pub fn is_continued(folder: &Path, begin_with: Option<&Path>) -> bool {
+    let real = |path: &Path| path.canonicalize().ok();
+    begin_with.and_then(real).is_some_and(|begun| real(folder) == Some(begun))
 }
 
 /// Returns whether a run's folder for sessions has the file that says where its maps lie.

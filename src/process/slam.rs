@@ -21,6 +21,7 @@ use super::{Error, serve};
 use crate::ports::{ChannelError, Clock, Ports};
 use crate::progress::{ProgressCounter, WatchedThread};
 use crate::run::Run;
+use crate::session_file::SessionFileError;
 use crate::session_records;
 use crate::sessions;
 use crate::shared_memory::Participant;
@@ -217,7 +218,7 @@ fn restore_or_create(
     let config = live_config(run);
     let is_paused = pausing::was_paused(storage, run, robot);
     let identity = sessions::identity(run, robot);
-    let saved = read_own_session(run, robot, storage);
+    let saved = read_own_session(run, robot, storage)?;
     let position = saved.as_ref().map(|session| session.log).unwrap_or_default();
     let (records, log_end) = session_log::read(storage, run, robot, position);
     let (session, mode, has_session) = match saved {
@@ -262,31 +263,39 @@ fn restore_or_create(
 }
 
 /// Reads what an earlier process of this run saved.
-fn read_own_session(run: &Run, robot: RobotId, storage: &impl Storage) -> Option<Session> {
-    let own = sessions::file(&sessions::folder(run), robot);
+///
+/// Errors: the file may be the session with which the fleet begins, and cannot be read. A further start may be able to.
+fn read_own_session(
+    run: &Run,
+    robot: RobotId,
+    storage: &impl Storage,
+) -> Result<Option<Session>, SessionFileError> {
+    let folder = sessions::folder(run);
+    let own = sessions::file(&folder, robot);
     let identity = sessions::identity(run, robot);
     match sessions::read(storage, &own, &identity) {
         // Else the file is from another run in the same folder.
-        Ok(kept) => Some(kept).filter(|kept| kept.identity.run == identity.run),
+        Ok(kept) => Ok(Some(kept).filter(|kept| kept.identity.run == identity.run)),
+        Err(why) if why.is_missing() => Ok(None),
+        Err(why) if sessions::is_continued(&folder, run.config.sessions.folder()) => Err(why),
         Err(why) => {
-            if !why.is_missing() {
-                let kept = match run.config.sessions.autosave_s > 0.0 {
-                    true => keep_session(storage, &own),
-                    false => "it stays as it is, as nothing is saved".into(),
-                };
-                tracing::warn!("slam of {robot}: {why}; it begins without the session; {kept}");
+            let kept = keep_written(run, storage, &own);
+            // The log is of no use without the session. It comes second: a process that dies in between leaves no session without it.
+            for log in session_records::files(&own) {
+                keep_written(run, storage, &log);
             }
-            None
+            tracing::warn!("slam of {robot}: {why}; it begins without the session; {kept}");
+            Ok(None)
         }
     }
 }
 
-/// Keeps a session that cannot be used, and its log, which is of no use without it: both are written anew. Returns what came of it.
-fn keep_session(storage: &impl Storage, session: &Path) -> String {
-    for log in session_records::files(session) {
-        keep_unusable(storage, &log);
+/// Keeps a file that cannot be used, if the run writes such files: it would be overwritten. Returns what came of it.
+fn keep_written(run: &Run, storage: &impl Storage, path: &Path) -> String {
+    match run.config.sessions.autosave_s > 0.0 {
+        true => keep_unusable(storage, path),
+        false => "it stays as it is, as nothing is saved".into(),
     }
-    keep_unusable(storage, session)
 }
 
 /// Returns the fleet's configuration of SLAM for a live process, which needs no trajectory of all scans.
@@ -301,19 +310,55 @@ mod tests {
     use super::*;
     use crate::config::FleetConfig;
 
+    /// Has a path be one that cannot be read: no file can be read from a folder.
+    fn unreadable(path: &Path) {
+        std::fs::create_dir_all(path.join("content")).unwrap();
+    }
+
+    fn run_in(folder: &Path) -> Run {
+        let mut run = Run::in_memory(FleetConfig::default()).unwrap();
+        run.dir = folder.into();
+        run
+    }
+
+    #[test]
+    fn a_session_with_which_the_fleet_begins_is_not_given_up_for_one_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = run_in(folder.path());
+        let sessions = sessions::folder(&run);
+        run.config.sessions.begin_with.clone_from(&sessions);
+        let robot = RobotId::new(1).unwrap();
+        let session = sessions::file(&sessions, robot);
+        let [log, _] = session_records::files(&session);
+        [&session, &log].into_iter().for_each(|path| unreadable(path));
+        assert!(read_own_session(&run, robot, &DiskStorage).is_err());
+        assert!(session.exists() && log.exists(), "a further start reads them");
+    }
+
+    #[test]
+    fn files_that_nothing_overwrites_keep_their_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = run_in(folder.path());
+        run.config.sessions.autosave_s = 0.0;
+        let robot = RobotId::new(1).unwrap();
+        let session = sessions::file(&sessions::folder(&run), robot);
+        let [log, _] = session_records::files(&session);
+        [&session, &log].into_iter().for_each(|path| unreadable(path));
+        assert!(read_own_session(&run, robot, &DiskStorage).unwrap().is_none());
+        session_log::read(&DiskStorage, &run, robot, Default::default());
+        assert!(session.exists() && log.exists());
+    }
+
     #[test]
     fn files_that_cannot_be_read_are_not_overwritten() {
         let folder = tempfile::tempdir().unwrap();
-        let mut run = Run::in_memory(FleetConfig::default()).unwrap();
-        run.dir = folder.path().into();
+        let run = run_in(folder.path());
         let robot = RobotId::new(1).unwrap();
         let session = sessions::file(&sessions::folder(&run), robot);
         let [log, other_log] = session_records::files(&session);
-        // No file can be read from a folder.
-        let unreadable = |path: &Path| std::fs::create_dir_all(path.join("content")).unwrap();
         [&session, &log].into_iter().for_each(|path| unreadable(path));
         std::fs::write(&other_log, "nodes").unwrap();
-        assert!(read_own_session(&run, robot, &DiskStorage).is_none());
+        assert!(read_own_session(&run, robot, &DiskStorage).unwrap().is_none());
         for path in [&session, &log, &other_log] {
             let kept = format!("{}.unreadable", path.display());
             assert!(!path.exists() && Path::new(&kept).exists(), "{kept}");

@@ -5,10 +5,11 @@
 //! log until a session with that change is saved.
 
 use super::files::{FileOperation, SlamFileJob};
+use super::keep_written;
 use crate::run::Run;
 use crate::session_records::{self, FILE_BYTES_MAX, Records, WAITING_BYTES_MAX};
 use crate::sessions;
-use crate::storage::{Storage, keep_unusable};
+use crate::storage::Storage;
 use ::slam::session::log::{LogPosition, LogRecord, LogRecordBuilder};
 use ::slam::{FrontEndState, LocalFrameEstimate, Node, SessionIdentity};
 use msg::{Monotonic, RobotId};
@@ -196,7 +197,7 @@ pub(super) fn read(
     let Records { chain, end, unreadable } =
         session_records::read(storage, &files, &sessions::identity(run, robot), newest);
     for (file, why) in &unreadable {
-        let kept = keep_unusable(storage, file);
+        let kept = keep_written(run, storage, file);
         tracing::warn!("{}: {why}; its nodes are left out; {kept}", file.display());
     }
     let to = match (chain.last(), end) {
