@@ -303,6 +303,7 @@ impl RobotEnd {
             run: self.run,
             waiting: self.sender.waiting() as u32,
             is_stopped,
+            is_known: self.local.is_stopped.is_some(),
             is_own_stop: is_stopped && self.follower.is_own(self.leadership.session(), now),
             is_driven_by_hand: self.local.is_driven_by_hand,
             is_late: self.obedience.is_late(now),

@@ -74,8 +74,10 @@ pub struct RobotState {
     pub run: u32,
     /// Number of parts that wait to be sent.
     pub waiting: u32,
-    /// Whether the robot's own emergency stop is set.
+    /// Whether the robot's own emergency stop is set, if that is known.
     pub is_stopped: bool,
+    /// Whether the robot's bridge answers, so that `is_stopped` is known.
+    pub is_known: bool,
     /// Whether that stop is not the base's, which therefore cannot release it.
     pub is_own_stop: bool,
     /// Whether a person drives the robot at its own machine.
@@ -200,8 +202,10 @@ impl Message {
                 to.extend(state.list_of.to_le_bytes());
                 to.extend(state.run.to_le_bytes());
                 to.extend(state.waiting.to_le_bytes());
-                let flags = [state.is_stopped, state.is_own_stop, state.is_driven_by_hand, state.is_late];
-                to.push(flags.into_iter().rev().fold(0, |byte, flag| byte << 1 | u8::from(flag)));
+                let of_stop = [state.is_stopped, state.is_own_stop];
+                let flags =
+                    of_stop.into_iter().chain([state.is_driven_by_hand, state.is_late, state.is_known]);
+                to.push(flags.rev().fold(0, |byte, flag| byte << 1 | u8::from(flag)));
                 to.extend(state.interruptions.to_le_bytes());
             }
             Self::BaseState(state) => {
@@ -281,9 +285,10 @@ fn read_robot_state(from: &mut Reader<'_>) -> Result<Option<RobotState>, WireErr
         is_own_stop: flags & 2 != 0,
         is_driven_by_hand: flags & 4 != 0,
         is_late: flags & 8 != 0,
+        is_known: flags & 16 != 0,
         interruptions: from.u32()?,
     };
-    Ok(Some(state).filter(|_| flags < 16))
+    Ok(Some(state).filter(|_| flags < 32))
 }
 
 fn write_f64s(to: &mut Vec<u8>, values: &[f64]) {

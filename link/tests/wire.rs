@@ -54,6 +54,7 @@ fn messages() -> Vec<Message> {
             run: 7,
             waiting: 3,
             is_stopped: true,
+            is_known: true,
             is_late: true,
             interruptions: 5,
             ..RobotState::default()

@@ -295,7 +295,8 @@ fn robots_after_release(run: &Run, asked: Monotonic) -> [Vec<String>; 2] {
         let heard = || peers.iter().filter(|peer| peer.was_heard);
         let is_own = |peer: &PeerReport| peer.hold.as_deref() == Some(PauseReason::StoppedAtRobot.text());
         let is_fresh = |peer: &PeerReport| peer.state_ns > asked.0;
-        let is_open = |peer: &PeerReport| !is_fresh(peer) || (peer.is_stopped == Some(true) && !is_own(peer));
+        let is_open =
+            |peer: &PeerReport| !is_fresh(peer) || (peer.is_stopped != Some(false) && !is_own(peer));
         let names = |is_of: &dyn Fn(&PeerReport) -> bool| {
             heard().filter(|peer| is_of(peer)).map(|peer| peer.robot.clone()).collect::<Vec<_>>()
         };

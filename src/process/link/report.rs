@@ -23,7 +23,8 @@ pub struct PeerReport {
     pub robot: String,
     /// Whether the peer was heard in the last 3 s.
     pub is_heard: bool,
-    /// Whether the robot's own emergency stop is set, as the robot told the base last; `None` in a robot's own file.
+    /// Whether the robot's own emergency stop is set, as the robot told the base last; `None` if its bridge does not answer,
+    /// and in a robot's own file.
     pub is_stopped: Option<bool>,
     /// Parts of the map that the base does not hold as they are.
     pub waiting: u64,
@@ -162,7 +163,7 @@ impl<P: Ports, T: Transport, S: StopControl> ReportLink for BaseLink<P, T, S> {
         let peers = self.ends().map(|(name, end, late_scans)| PeerReport {
             robot: name.to_owned(),
             is_heard: end.is_heard(self.now()),
-            is_stopped: Some(end.robot_state().is_stopped),
+            is_stopped: Some(end.robot_state()).filter(|state| state.is_known).map(|state| state.is_stopped),
             waiting: end.robot_state().waiting.into(),
             refused: end.refused(),
             late_scans,
