@@ -3,6 +3,7 @@
 //! They outlive the process; a power cut ends the run too, so nothing waits until the disk has them. A busy disk delays even
 //! that: live, they are read and written on a thread of their own, see [`crate::job_thread`].
 
+use crate::emergency_stop_file::LatchedStop;
 use crate::run::Run;
 use crate::storage::{Storage, keep_unusable};
 use ::bridge::Bridge;
@@ -98,7 +99,7 @@ pub struct SavedFiles<S> {
     state_file: PathBuf,
     saved: SavedState,
     stop_file: PathBuf,
-    /// Content of the stop file when it was read or written last.
+    /// Content of the stop file when it was read or written last, or what tells a file that cannot be read from the next one.
     latch: Option<Vec<u8>>,
     /// Number of stops that were found in the file, set by `mr-slam stop`.
     stops_found: u64,
@@ -172,7 +173,10 @@ impl<S: Storage> SavedFiles<S> {
     /// Reads the stop's file. One that another user, such as root, has put there counts, though this one may not read it.
     fn read_latch(&self) -> io::Result<Option<Vec<u8>>> {
         match self.read_if_present(&self.stop_file) {
-            Err(why) if why.kind() == io::ErrorKind::PermissionDenied => Ok(Some(Vec::new())),
+            Err(why) if why.kind() == io::ErrorKind::PermissionDenied => {
+                let about = LatchedStop::look(&self.stop_file);
+                Ok(Some(format!("{about:?}").into_bytes()))
+            }
             read => read,
         }
     }

@@ -7,7 +7,7 @@ use crate::storage::DiskStorage;
 use ::bridge::BridgeConfig;
 use formats::map_file::MapFileError;
 use msg::{Grid, GridView, NavigationAction, RobotId};
-use saved_state::stop_file;
+use saved_state::{BridgeSnapshot, SavedFiles, stop_file};
 use std::net::IpAddr;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
@@ -160,6 +160,28 @@ fn a_stop_that_only_another_user_may_read_is_set_and_can_be_released() {
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o0)).unwrap();
         assert!(block_on(answer(&control, Request::Allow([10, 0, 0, 7].into()), now)).unwrap().stopped);
         assert!(!block_on(answer(&control, Request::Release, now)).unwrap().stopped && !path.exists());
+    }
+}
+
+#[test]
+fn a_stop_that_is_set_anew_before_a_release_is_saved_is_not_released() {
+    for mode in [0o600, 0o0] {
+        let folder = tempfile::tempdir().unwrap();
+        let run = run_in(folder.path());
+        let bridge = Bridge::new(run.config.bridge.clone(), 2, |_, _| {}).unwrap();
+        let mut files = SavedFiles::restore(&bridge, &run, StalledDisk::new(), Monotonic(0));
+        let path = stop_file(&run.dir);
+        let mut set_anew = |stops_applied| {
+            latch_stop(&DiskStorage, &path, Monotonic(1 + stops_applied)).unwrap();
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+            // The bridge has set and released those before.
+            let released = BridgeSnapshot::take(&bridge, run.begun, stops_applied, Monotonic(0));
+            files.update(&released).unwrap();
+            (files.stops_found(), path.exists())
+        };
+        for stops_applied in 0..3 {
+            assert_eq!(set_anew(stops_applied), (stops_applied + 1, true), "mode {mode:o}");
+        }
     }
 }
 
