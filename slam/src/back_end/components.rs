@@ -6,8 +6,8 @@
 //! reads as lost, until a closure or a search of the whole map connects it. If that closure is
 //! undone or retracted, the component is unplaced again.
 //!
-//! The map is the largest component, so a robot that never returns ends up with a new map. While a component is small, it must be
-//! twice as large as an older one: a lost robot that stands would lose its map by one scan more.
+//! The map is the first component until another one is clearly larger, and so on: a robot that never returns ends up with a new map,
+//! and a lost robot that stands does not lose its map by one scan more.
 
 use super::links::is_well_constrained;
 use super::{BREAK_SIGMAS, BREAK_VARIANCES, BackEnd};
@@ -21,8 +21,8 @@ const COMPARED_NODES: usize = 8;
 /// If more than this share of the compared points is contradicted, and this many points, the edge becomes an odometry break.
 const BREAK_SHARE: f32 = 0.3;
 const BREAK_POINTS_MIN: usize = 60;
-/// A component of fewer nodes than this is the map only if it has twice as many as each older one.
-const SMALL_COMPONENT_NODES: usize = 20;
+/// Another component becomes the map when it has so many nodes more than the map, or twice as many.
+const LEAD_NODES_MAX: usize = 10;
 /// A path shorter than this has not drifted by what counts as a contradiction, metres.
 const STRAIGHT_M: f64 = 20.0;
 
@@ -131,14 +131,12 @@ impl BackEnd {
             let (a, b) = (first(&mut parent, edge.a), first(&mut parent, edge.b));
             parent[a.max(b) as usize] = a.min(b);
         }
-        let mut sizes = vec![0_usize; parent.len()];
         for id in 0..parent.len() as u32 {
             parent[id as usize] = first(&mut parent, id);
-            sizes[parent[id as usize] as usize] += 1;
         }
-        let map = map_component(&sizes);
+        let map = map_component(&parent);
         for (node, component) in self.nodes.iter_mut().zip(parent) {
-            node.disconnected_component = Some(component).filter(|first| *first as usize != map);
+            node.disconnected_component = Some(component).filter(|first| *first != map);
         }
     }
 
@@ -162,13 +160,17 @@ impl BackEnd {
     }
 }
 
-/// Returns the first node of the component that is the map. `sizes`: number of nodes of each component at its first node, zero elsewhere.
-fn map_component(sizes: &[usize]) -> usize {
+/// Returns the first node of the component that is the map. `components`: the first node of each node's component, oldest node first.
+///
+/// The sizes are followed as they grew, so that the map does not depend on whether the process was started again meanwhile.
+fn map_component(components: &[u32]) -> u32 {
+    let mut sizes = vec![0_usize; components.len()];
     let mut map = 0;
-    for (first, &size) in sizes.iter().enumerate() {
-        let needed = if size < SMALL_COMPONENT_NODES { 2 * sizes[map] } else { sizes[map] };
-        if size > needed {
-            map = first;
+    for &component in components {
+        sizes[component as usize] += 1;
+        let map_size = sizes[map as usize];
+        if sizes[component as usize] > map_size + map_size.min(LEAD_NODES_MAX) {
+            map = component;
         }
     }
     map
@@ -179,22 +181,45 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// Returns nodes in groups, each of a component and a number of nodes, as [`map_component`] takes them.
+    fn nodes(groups: &[(usize, usize)]) -> Vec<u32> {
+        let mut first: Vec<Option<u32>> =
+            vec![None; 1 + groups.iter().map(|group| group.0).max().unwrap_or(0)];
+        let mut nodes = Vec::new();
+        for &(component, count) in groups {
+            let id = *first[component].get_or_insert(nodes.len() as u32);
+            nodes.resize(nodes.len() + count, id);
+        }
+        nodes
+    }
+
     #[test]
-    fn a_small_component_of_a_lost_robot_is_not_the_map_for_one_node_more() {
-        assert_eq!(map_component(&[4, 0, 0, 0, 5]), 0);
-        assert_eq!(map_component(&[4, 0, 0, 0, 9]), 4, "a robot that never returns has a new map");
+    fn a_component_stays_the_map_until_another_is_clearly_larger() {
+        let map = |groups: &[(usize, usize)]| map_component(&nodes(groups));
+        assert_eq!(map(&[(0, 4), (1, 5)]), 0, "a lost robot stands");
+        assert_eq!(map(&[(0, 4), (1, 8)]), 0);
+        assert_eq!(map(&[(0, 4), (1, 9)]), 4, "a robot that never returns has a new map");
+        assert_eq!(map(&[(0, 4), (1, 9), (0, 1)]), 4, "it was found in the old one, and keeps the new one");
+        assert_eq!(map(&[(0, 4), (1, 9), (0, 15)]), 0);
+        assert_eq!([19, 20, 21, 29].map(|count| map(&[(0, 19), (1, count)])), [0; 4]);
+        assert_eq!(map(&[(0, 19), (1, 30)]), 19);
     }
 
     proptest! {
         #[test]
-        fn the_map_is_the_largest_component_once_that_is_not_small(
-            sizes in proptest::collection::vec(1..60_usize, 1..6)
+        fn the_map_changes_only_by_a_clear_lead_and_is_never_left_clearly_behind(
+            groups in proptest::collection::vec((0..4_usize, 1..30_usize), 1..20)
         ) {
-            let map = map_component(&sizes);
-            let largest = sizes.iter().copied().max().unwrap_or_default();
-            prop_assert!(largest < SMALL_COMPONENT_NODES || sizes[map] == largest);
-            prop_assert!(sizes[..map].iter().all(|older| *older < sizes[map]), "the older of two equal ones");
-            prop_assert!(largest <= 2 * sizes[map]);
+            let nodes = nodes(&groups);
+            let mut before = 0;
+            for count in 1..=nodes.len() {
+                let size = |component: u32| nodes[..count].iter().filter(|of| **of == component).count();
+                let needed = |component: u32| size(component) + size(component).min(LEAD_NODES_MAX);
+                let map = map_component(&nodes[..count]);
+                prop_assert!(map == before || size(map) > needed(before));
+                prop_assert!(nodes[..count].iter().all(|other| size(*other) <= needed(map)));
+                before = map;
+            }
         }
     }
 }
