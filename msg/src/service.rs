@@ -228,6 +228,8 @@ pub enum SlamOutcome {
     Done = 0,
     /// The request was refused; the text gives the reason.
     Refused = 1,
+    /// The request was carried out, but is not saved: a process that is started again would not know it. The text gives the reason.
+    NotSaved = 2,
 }
 
 /// A loop closure with its evidence.
@@ -302,7 +304,8 @@ impl Default for SlamResponse {
 impl SlamResponse {
     /// Decodes the outcome; an unknown code reads as refused.
     pub fn outcome(&self) -> SlamOutcome {
-        if self.outcome == SlamOutcome::Done as u32 { SlamOutcome::Done } else { SlamOutcome::Refused }
+        let outcomes = [SlamOutcome::Done, SlamOutcome::NotSaved];
+        outcomes.into_iter().find(|outcome| self.outcome == *outcome as u32).unwrap_or(SlamOutcome::Refused)
     }
 
     /// Returns the closures in this response.

@@ -122,9 +122,17 @@ pub enum SlamCommandError {
     Silent(RobotId),
     /// SLAM was there and did not finish the request.
     #[error(
-        "{0}'s SLAM has not finished within {WORK_PATIENCE:?}; it may have died meanwhile: see `mr-slam slam {0} state`"
+        "{0}'s SLAM has not finished within {WORK_PATIENCE:?}; it may have died, or the disk does not answer: `mr-slam slam {0} state` says what holds"
     )]
     Unfinished(RobotId),
+    /// SLAM has done it, but could not save it.
+    #[error("{robot}'s SLAM has done it: {why}")]
+    NotSaved {
+        /// Robot that was asked.
+        robot: RobotId,
+        /// Answer of SLAM, with the reason.
+        why: String,
+    },
     /// SLAM refused the request.
     #[error("{robot}'s SLAM refuses: {why}")]
     Refused {
@@ -204,6 +212,9 @@ impl SlamClient {
         let answer = self.send(request, WORK_PATIENCE).ok_or(SlamCommandError::Unfinished(self.robot))?;
         match answer.outcome() {
             SlamOutcome::Done => Ok(answer),
+            SlamOutcome::NotSaved => {
+                Err(SlamCommandError::NotSaved { robot: self.robot, why: answer.text.as_str().into() })
+            }
             SlamOutcome::Refused => {
                 Err(SlamCommandError::Refused { robot: self.robot, why: answer.text.as_str().into() })
             }

@@ -179,7 +179,8 @@ impl Core {
         let is_of =
             |provider: &Provider| matches!(provider, Provider::Slam { robot: of, .. } if *of == robot);
         let Some(mut call) = self.services.end_call(answer.id as i64, is_of) else { return };
-        let is_done = answer.outcome() == SlamOutcome::Done;
+        let outcome = answer.outcome();
+        let is_done = outcome != SlamOutcome::Refused;
         let Provider::Slam { service, next, .. } = &mut call.provider else { return };
         let service = *service;
         match next.take() {
@@ -191,7 +192,7 @@ impl Core {
             _ if is_done => {
                 let mut payload = Vec::new();
                 let to = &mut Writer::with(self.dialect_of(&call.caller), &mut payload);
-                service.write(to, true, answer.text.as_str());
+                service.write(to, outcome == SlamOutcome::Done, answer.text.as_str());
                 self.respond(&call, &payload);
             }
             _ => self.fail_call(&call, answer.text.as_str()),

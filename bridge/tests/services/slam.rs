@@ -25,6 +25,15 @@ fn slams_services_are_served_to_clients() {
     assert_eq!(simulation.answer(SlamOutcome::Done, "").kind, SlamRequestKind::Pause as u32);
     assert_eq!(simulation.received(client).0, [(102, vec![0, 1, 0, 0, 0])]);
 
+    // What is done and not saved has failed, but what follows is done, too.
+    simulation.send(client, name::REQUEST, 102, "/robot2/slam_toolbox/reset", &[0, 1, 0, 0, 1]);
+    assert_eq!(
+        simulation.answer(SlamOutcome::NotSaved, "the disk is full").kind,
+        SlamRequestKind::Reset as u32
+    );
+    assert_eq!(simulation.answer(SlamOutcome::NotSaved, "").kind, SlamRequestKind::Pause as u32);
+    assert_eq!(simulation.received(client).0, [(102, vec![0, 1, 0, 0, 255])]);
+
     simulation.send(client, name::REQUEST, 103, "/robot2/slam_toolbox/reset", &[0, 1, 0, 0, 0]);
     simulation.answer(SlamOutcome::Refused, "not now");
     let (responses, texts) = simulation.received(client);
@@ -72,7 +81,7 @@ fn a_session_that_is_not_loaded_is_not_answered_as_if_it_were() {
             false => simulation.send(client, name::REQUEST, 2, service, &request),
             true => simulation.request_from_ros(service, &request),
         }
-        simulation.answer(SlamOutcome::Done, "");
+        simulation.answer(SlamOutcome::NotSaved, "");
         let responses = simulation.received(client).0.len() + simulation.asked().len();
         assert_eq!(responses, 1);
     }

@@ -12,7 +12,7 @@ use crate::process::submap_publisher::SubmapPublisher;
 use crate::run::Run;
 use crate::sessions;
 use ::slam::{BackEnd, FrontEnd, FrontEndState, LocalFrameEstimate, Node, Session, SessionIdentity};
-use msg::{Monotonic, RobotId, SlamMode, SlamRequest, SlamRequestKind};
+use msg::{Monotonic, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind};
 use std::path::PathBuf;
 use std::sync::mpsc::SyncSender;
 use std::time::Duration;
@@ -259,13 +259,15 @@ impl WorkerState {
         self.autosave.save_soon();
     }
 
-    /// Says after a request that changes the map that the session could not be saved the last time; empty otherwise.
-    pub fn unsaved_note(&self, request: &SlamRequest) -> String {
-        let changes = SlamRequestKind::from_code(request.kind).is_some_and(SlamRequestKind::changes_map);
-        let why = self.autosave.error().filter(|_| changes);
-        why.map_or_else(String::new, |why| {
-            format!("; NOT SAVED yet, a process that is started again would not know it: {why}")
-        })
+    /// Returns the answer `text` to a request that was done. It says of one that changes the map that the session could not be saved the
+    /// last time. The log tells of the save that follows.
+    pub fn with_unsaved_note(&self, request: &SlamRequest, text: String) -> (SlamOutcome, String) {
+        use SlamRequestKind::{Relocalize, SetPose};
+        let kind = SlamRequestKind::from_code(request.kind);
+        let changes = kind.is_some_and(|kind| kind.changes_map() && !matches!(kind, SetPose | Relocalize));
+        let Some(why) = self.autosave.error().filter(|_| changes) else { return (SlamOutcome::Done, text) };
+        let text = format!("{text}; NOT SAVED yet, a process that is started again would not know it: {why}");
+        (SlamOutcome::NotSaved, text)
     }
 
     /// Returns how many requests wait for the scan path's state.

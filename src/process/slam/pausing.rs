@@ -49,31 +49,48 @@ impl<P: Ports> Services<P> {
         state.commands.send(FrontCommand::Pause(pauses));
         match is_submitted {
             true => Ok(RequestOutcome::Deferred),
-            false => Ok(RequestOutcome::Done(text(pauses, Some(&RequestRefused::TooManyFiles)))),
+            false => Ok(outcome(pauses, Some(&RequestRefused::TooManyFiles))),
         }
     }
 }
 
-/// Returns the answer to a request that has paused SLAM or has it go on; `unwritten`: why its file is not as it should be.
-fn text(pauses: bool, unwritten: Option<&dyn Display>) -> String {
+/// Returns the outcome of a request that has paused SLAM or has it go on; `unwritten`: why its file is not as it should be.
+fn outcome(pauses: bool, unwritten: Option<&dyn Display>) -> RequestOutcome {
     let done = if pauses { "new scans are not looked at" } else { "scans are looked at again" };
-    unwritten.map_or_else(
-        || done.into(),
-        |why| format!("{done}, but a process that is started again would not know it: {why}"),
-    )
+    let Some(why) = unwritten else { return RequestOutcome::Done(done.into()) };
+    let text = format!("{done}; NOT SAVED, a process that is started again would not know it: {why}");
+    tracing::warn!("slam: {text}");
+    RequestOutcome::NotSaved(text)
 }
 
-/// Returns the answer to a request that has paused SLAM or has it go on, and whose file was written or could not be; `None` for
+/// Returns the outcome of a request that has paused SLAM or has it go on, and whose file was written or could not be; `None` for
 /// other requests.
-pub(super) fn answer(request: &SlamRequest, written: Result<(), &FileJobError>) -> Option<String> {
+pub(super) fn answer(request: &SlamRequest, written: Result<(), &FileJobError>) -> Option<RequestOutcome> {
     let pauses = match SlamRequestKind::from_code(request.kind)? {
         SlamRequestKind::Pause => true,
         SlamRequestKind::Resume => false,
         _ => return None,
     };
-    let answer = text(pauses, written.as_ref().err().map(|why| why as &dyn Display));
-    if written.is_err() {
-        tracing::warn!("slam: {answer}");
+    Some(outcome(pauses, written.as_ref().err().map(|why| why as &dyn Display)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pause_whose_file_is_not_written_is_not_answered_as_done() {
+        let full =
+            FileJobError::Write { path: "robot1.paused".into(), source: ErrorKind::StorageFull.into() };
+        for kind in [SlamRequestKind::Pause, SlamRequestKind::Resume] {
+            let request = SlamRequest { kind: kind as u32, ..SlamRequest::default() };
+            assert!(matches!(answer(&request, Ok(())), Some(RequestOutcome::Done(_))));
+            let Some(RequestOutcome::NotSaved(text)) = answer(&request, Err(&full)) else {
+                panic!("{kind:?}")
+            };
+            assert!(text.contains("NOT SAVED") && text.contains("robot1.paused"), "{text}");
+        }
+        let other = SlamRequest { kind: SlamRequestKind::Reset as u32, ..SlamRequest::default() };
+        assert!(answer(&other, Err(&full)).is_none());
     }
-    Some(answer)
 }

@@ -40,6 +40,8 @@ pub enum PendingRequest {
 pub(super) enum RequestOutcome {
     /// It was done; the text is for people.
     Done(String),
+    /// It was done, but is not saved; the text says why.
+    NotSaved(String),
     /// It will be answered later.
     Deferred,
 }
@@ -222,7 +224,7 @@ impl<P: Ports> Services<P> {
         let loads = request.kind == SlamRequestKind::LoadSession as u32;
         self.loading &= !loads;
         if let Some(answer) = pausing::answer(&request, result.as_ref().map(|_| ())) {
-            return self.respond(&request, Ok(RequestOutcome::Done(answer)), state);
+            return self.respond(&request, Ok(answer), state);
         }
         let outcome = result.map(|loaded| {
             let text = match &loaded {
@@ -248,7 +250,8 @@ impl<P: Ports> Services<P> {
     fn respond(&mut self, request: &SlamRequest, outcome: RequestResult, state: &WorkerState) {
         let (outcome, text) = match outcome {
             Ok(RequestOutcome::Deferred) => return,
-            Ok(RequestOutcome::Done(text)) => (SlamOutcome::Done, text + &state.unsaved_note(request)),
+            Ok(RequestOutcome::Done(text)) => state.with_unsaved_note(request, text),
+            Ok(RequestOutcome::NotSaved(text)) => (SlamOutcome::NotSaved, text),
             Err(why) => (SlamOutcome::Refused, why.to_string()),
         };
         let (back, counts) = (&state.back, state.back.counts());
