@@ -3,6 +3,7 @@
 
 use crate::clock::Epoch;
 use crate::config::{FleetConfig, LABORATORY};
+use crate::run::Run;
 use crate::sessions::{self, SessionsError};
 use headset::HeadsetRobots;
 use msg::{Pose2, RobotId, Stamp};
@@ -130,6 +131,14 @@ pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetErr
         return Ok(sessions::known_starts(config, alone())?);
     }
     true_starts(config)
+}
+
+/// Returns the same transforms for a process of a run that has begun.
+pub fn known_starts_of_run(run: &Run) -> Result<Vec<Option<Pose2>>, FleetError> {
+    match sessions::continued_starts(run)? {
+        Some(starts) => Ok(starts),
+        None => known_starts(&run.config),
+    }
 }
 
 /// Returns whether the fleet's `map` is in a frame of its own, whose place in the room is not known: the robots start anywhere, or did

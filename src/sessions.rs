@@ -115,8 +115,17 @@ fn begins_with_map(config: &FleetConfig, folder: &Path, robot: RobotId) -> bool 
     match file(folder, robot).metadata() {
         Err(_) => false,
         Ok(about) if about.len() > WITHOUT_NODES_BYTES_MAX => true,
-        Ok(_) => first(config, robot).ok().is_none_or(|session| session.is_some()),
+        // One that cannot be read may have a map.
+        Ok(_) => has_first(config, robot).unwrap_or(true),
     }
+}
+
+/// Returns whether [`first`] has a session of this robot. The nodes that its run has logged are not replayed for that.
+fn has_first(config: &FleetConfig, robot: RobotId) -> Result<bool, SessionFileError> {
+    let Some((path, session)) = first_saved(config, robot)? else { return Ok(false) };
+    let logs = session_records::all_files(&path);
+    let logged = || session_records::read(&DiskStorage, &logs, &session.identity, session.log).chain;
+    Ok(!session.back.nodes.is_empty() || !logged().is_empty())
 }
 
 /// Reads the same session as it was saved, with its path.
@@ -142,7 +151,7 @@ pub fn check(config: &FleetConfig) -> Result<(), SessionsError> {
     let Some(folder) = config.sessions.folder() else { return Ok(()) };
     let mut missing = Vec::new();
     for robot in RobotId::first(config.fleet.robots) {
-        if first_saved(config, robot)?.is_none() {
+        if !has_first(config, robot)? {
             missing.push(robot);
         }
     }
@@ -179,10 +188,25 @@ pub fn known_starts(
     let kept = read_starts(&folder.join(STARTS))?;
     for (robot, start) in RobotId::first(config.fleet.robots).zip(&mut otherwise) {
         if begins_with_map(config, folder, robot) {
-            *start = kept.get(&robot.to_string()).map(|[x, y, yaw]| Pose2::new(*x, *y, *yaw));
+            *start = start_of(&kept, robot);
         }
     }
     Ok(otherwise)
+}
+
+/// Returns the poses of the maps as the launcher has written them, if a run saves in the folder with which it begins. What is there
+/// by now says nothing of the start: a map that was reset since has no nodes, and has kept its frame.
+pub fn continued_starts(run: &Run) -> Result<Option<Vec<Option<Pose2>>>, SessionsError> {
+    let folder = folder(run);
+    if !is_continued(&folder, run.config.sessions.folder()) || !has_starts(&folder) {
+        return Ok(None);
+    }
+    let kept = read_starts(&folder.join(STARTS))?;
+    Ok(Some(run.robots().map(|robot| start_of(&kept, robot)).collect()))
+}
+
+fn start_of(kept: &Starts, robot: RobotId) -> Option<Pose2> {
+    kept.get(&robot.to_string()).map(|[x, y, yaw]| Pose2::new(*x, *y, *yaw))
 }
 
 type Starts = BTreeMap<String, [f64; 3]>;
@@ -294,74 +318,4 @@ fn set_aside(folder: &Path, continued: usize) -> Result<(), SessionsError> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn places_of_maps_come_back() {
-        let folder = tempfile::tempdir().unwrap();
-        let known = [Some(Pose2::new(1.0, 2.0, 0.5)), None, Some(Pose2::IDENTITY)];
-        create_folder(folder.path(), &known, None, false).unwrap();
-        let mut config = FleetConfig::default();
-        config.sessions.begin_with = folder.path().into();
-        let elsewhere = vec![Some(Pose2::new(9.0, 9.0, 0.0)); 3];
-        // Only of robots whose map is there.
-        assert_eq!(known_starts(&config, elsewhere.clone()).unwrap(), elsewhere);
-        for robot in RobotId::first(3) {
-            std::fs::write(file(folder.path(), robot), "").unwrap();
-        }
-        assert_eq!(known_starts(&config, elsewhere).unwrap(), known);
-    }
-
-    #[test]
-    fn the_frame_of_maps_of_robots_that_started_anywhere_is_their_own_until_another_run_is_saved_there() {
-        let folder = tempfile::tempdir().unwrap();
-        for is_own_frame in [false, true, false] {
-            create_folder(folder.path(), &[Some(Pose2::IDENTITY)], None, is_own_frame).unwrap();
-            assert_eq!(have_own_frame(folder.path()), is_own_frame);
-        }
-    }
-
-    #[test]
-    fn sessions_of_robots_that_an_earlier_run_had_are_not_those_of_this_one() {
-        let folder = tempfile::tempdir().unwrap();
-        let files = [1, 2, 3].map(|number| file(folder.path(), RobotId::new(number).unwrap()));
-        files.iter().for_each(|path| std::fs::write(path, "a session").unwrap());
-        create_folder(folder.path(), &[None, None], Some(folder.path()), false).unwrap();
-        assert!(files[0].exists() && files[1].exists() && !files[2].exists());
-        assert!(folder.path().join("robot3.slam.earlier").exists(), "nothing is deleted");
-    }
-
-    #[test]
-    fn sessions_that_are_not_continued_are_kept_beside_those_of_the_next_run() {
-        let folder = tempfile::tempdir().unwrap();
-        let place = |name: &str| folder.path().join(name);
-        let elsewhere = tempfile::tempdir().unwrap();
-        for (run, begin_with) in [("first", None), ("second", None), ("third", Some(elsewhere.path()))] {
-            create_folder(folder.path(), &[Some(Pose2::IDENTITY), None], begin_with, false).unwrap();
-            for name in ["robot1.slam", "robot2.slam", "robot2.log1"] {
-                assert!(!place(name).exists(), "{run}: {name} would be overwritten");
-                std::fs::write(place(name), run).unwrap();
-            }
-        }
-        for name in ["robot1.slam.earlier", "robot2.slam.earlier", "robot2.log1.earlier"] {
-            assert_eq!(std::fs::read_to_string(place(name)).unwrap(), "second", "{name}");
-        }
-        assert!(place("starts.json.earlier").exists() && place(STARTS).exists());
-    }
-
-    #[test]
-    fn nonsense_is_refused_by_name() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut config = FleetConfig::default();
-        config.sessions.begin_with = folder.path().into();
-        let said = check(&config).unwrap_err().to_string();
-        assert!(said.contains("robot1.slam"), "{said}");
-        std::fs::write(file(folder.path(), RobotId::new(1).unwrap()), "no session").unwrap();
-        let said = check(&config).unwrap_err().to_string();
-        assert!(said.contains("robot1.slam") && said.contains("not a session"), "{said}");
-        std::fs::write(folder.path().join(STARTS), r#"{"robot1": [1e300, 0, 0]}"#).unwrap();
-        let said = known_starts(&config, vec![None]).unwrap_err().to_string();
-        assert!(said.contains("starts.json") && said.contains("robot1"), "{said}");
-    }
-}
+mod tests;

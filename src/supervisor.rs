@@ -68,6 +68,8 @@ pub struct Supervisor {
     folder: RunFolder,
     /// Why the run's folder, without which no process starts, cannot be used at present.
     folder_error: Option<String>,
+    /// The robots' starts, to be written again if they are gone.
+    starts: Vec<Option<Pose2>>,
     /// Why the robots' starts, which were gone, could not be written again.
     starts_error: Option<String>,
 }
@@ -85,8 +87,8 @@ enum RunFolder {
 
 impl Supervisor {
     /// Starts all processes. The bridge inherits `listener`, so that a headset's attempts queue
-    /// while it restarts.
-    pub fn start(run: &Run, listener: TcpListener) -> io::Result<Self> {
+    /// while it restarts. `starts` are the robots' starts.
+    pub fn start(run: &Run, listener: TcpListener, starts: Vec<Option<Pose2>>) -> io::Result<Self> {
         let now = now();
         let members = run.config.processes().map(|(row, robot)| Member::new(row, robot, now));
         let members: Vec<Member> = members.collect();
@@ -98,6 +100,7 @@ impl Supervisor {
             cleaning: CleaningWait::default(),
             folder: RunFolder::Original,
             folder_error: None,
+            starts,
             starts_error: None,
         };
         supervisor.tend(&mut |_, _| None, &mut |_| {});
@@ -179,9 +182,8 @@ impl Supervisor {
             self.starts_error = None;
             return;
         }
-        let config = &self.run.config;
-        let written = fleet::known_starts(config)
-            .and_then(|known| Ok(sessions::write_starts(&folder, &known, fleet::has_own_frame(config))?));
+        let is_own_frame = fleet::has_own_frame(&self.run.config);
+        let written = sessions::write_starts(&folder, &self.starts, is_own_frame);
         let dir = folder.display();
         match written {
             Ok(()) => tell(format!(

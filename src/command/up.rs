@@ -286,7 +286,7 @@ fn run_created(
     // In the background children write into the log themselves: standard error is the log.
     let collect = || ChildMessages::collect(run.dir.join("launcher.log"));
     let messages = (!args.in_background).then(collect).transpose()?;
-    let supervisor = Supervisor::start(run, listener);
+    let supervisor = Supervisor::start(run, listener, known);
     let mut supervisor = match supervisor {
         Ok(supervisor) => supervisor,
         Err(why) => {

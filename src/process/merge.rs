@@ -42,7 +42,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 /// Restores the state of an earlier process of this run, and the robots' maps that it held: the transforms hold from the
 /// first map on.
 pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(GraphWorkerParts<S>, RestoredMaps), Error> {
-    let starts = fleet::known_starts(&run.config)?;
+    let starts = fleet::known_starts_of_run(run)?;
     let mut graph = FleetPoseGraph::new(&run.config.merge, &starts);
     let state_file = MergeStateFile::restore(run, storage.clone(), &mut graph);
     let files = MapFiles::new(run, storage);
