@@ -149,13 +149,18 @@ pub fn has_own_frame(config: &FleetConfig) -> bool {
 
 /// Returns where each robot's map truly begins in the room, in a simulation; unknown for maps of an earlier run that are in a frame of
 /// their own.
-pub fn starts_in_room(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
+pub fn starts_in_room(run: &Run) -> Result<Vec<Option<Pose2>>, FleetError> {
+    let config = &run.config;
     let mut starts = true_starts(config)?;
     if let Some(folder) = config.sessions.folder().filter(|folder| sessions::have_own_frame(folder)) {
-        let robots = RobotId::first(config.fleet.robots).zip(&mut starts);
-        robots
-            .filter(|(robot, _)| sessions::file(folder, *robot).exists())
-            .for_each(|(_, start)| *start = None);
+        // A map that was reset in this run has kept the frame of the one with which the robot began.
+        let is_continued = sessions::is_continued(&sessions::folder(run), Some(folder));
+        let has_map = |robot| match is_continued {
+            true => sessions::file(folder, robot).exists(),
+            false => sessions::begins_with_map(config, folder, robot),
+        };
+        let robots = run.robots().zip(&mut starts);
+        robots.filter(|(robot, _)| has_map(*robot)).for_each(|(_, start)| *start = None);
     }
     Ok(starts)
 }

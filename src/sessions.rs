@@ -111,7 +111,7 @@ pub fn first(config: &FleetConfig, robot: RobotId) -> Result<Option<Session>, Se
 }
 
 /// Returns whether a robot begins with a map. Only a short file is read for that: one without nodes is short.
-fn begins_with_map(config: &FleetConfig, folder: &Path, robot: RobotId) -> bool {
+pub fn begins_with_map(config: &FleetConfig, folder: &Path, robot: RobotId) -> bool {
     match file(folder, robot).metadata() {
         Err(_) => false,
         Ok(about) if about.len() > WITHOUT_NODES_BYTES_MAX => true,

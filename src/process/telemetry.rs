@@ -65,7 +65,7 @@ impl<P: Ports, W: JobWorker<MapChanges, MapFigures>> TelemetryProcess<P, W> {
     /// `maps_lead` before the figures are due.
     pub fn open(ports: &P, run: &Run, map_worker: W, maps_lead: Duration) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Telemetry, None)?;
-        let starts = fleet::starts_in_room(&run.config)?;
+        let starts = fleet::starts_in_room(run)?;
         let clock = ports.clock();
         let mut telemetry = Telemetry::new(run.config.fleet.robots, &starts, clock.now());
         if run.config.world == RobotSource::Robots {

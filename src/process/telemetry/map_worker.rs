@@ -31,7 +31,7 @@ impl MapWorker {
     /// # Errors
     /// The configuration's room or starts cannot be used.
     pub fn new(run: &Run, plan: Option<Grid>) -> Result<Self, Error> {
-        let starts = fleet::starts_in_room(&run.config)?;
+        let starts = fleet::starts_in_room(run)?;
         Ok(Self { metrics: MapMetrics::new(run.config.fleet.robots, plan, &starts), awaited_room: None })
     }
 
