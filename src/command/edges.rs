@@ -103,7 +103,12 @@ pub enum EdgesError {
 struct Answer<'a> {
     run: &'a Path,
     edges: Vec<EdgeView>,
+    /// Whether merging cannot save what is pinned and undone.
+    unsaved: bool,
 }
+
+/// What is said above edges that merging cannot save.
+const UNSAVED: &str = "NOT KEPT: merge.json cannot be written, and merging that is started again does not know what was pinned or undone since\n";
 
 /// Shows the edges, after a change if one is asked for.
 pub fn run(args: &EdgesArgs) -> Result<(), EdgesError> {
@@ -115,10 +120,14 @@ pub fn run(args: &EdgesArgs) -> Result<(), EdgesError> {
             (run, Some(command))
         }
     };
-    let edges = ask(&run, command)?.edges().iter().map(EdgeView::new).collect();
-    let answer = Answer { run: &run.dir, edges };
-    let heading =
-        if command.is_some() { format!("changed in run {}\n", run.dir.display()) } else { String::new() };
+    let edges = ask(&run, command)?;
+    let unsaved = edges.unsaved != 0;
+    let answer = Answer { run: &run.dir, edges: edges.edges().iter().map(EdgeView::new).collect(), unsaved };
+    let heading = match command {
+        Some(_) => format!("changed in run {}\n", run.dir.display()),
+        None if unsaved => UNSAVED.into(),
+        None => String::new(),
+    };
     Ok(output::print_either(args.json, &answer, || heading + &edge_table(&answer.edges))?)
 }
 
