@@ -271,7 +271,7 @@ fn a_goal_that_is_paused_is_reported_each_second() {
     scene.run(10.0, |_| false);
     assert!(scene.is("paused"), "{}", scene.state);
     let count = reports(&scene) - before;
-    assert!((5..=11).contains(&count), "{count} reports in 10 s");
+    assert!((9..=11).contains(&count), "{count} reports in 10 s");
 }
 
 /// The square of 0.6 m around a point of the map.

@@ -10,7 +10,8 @@ use msg::{
 };
 
 /// Period of the states while there is a goal, pursued or paused, nanoseconds: silence means that the process is gone.
-const REPORT_PERIOD_NS: u64 = 1_000_000_000;
+/// A little less than the heartbeat's, at which a paused goal is reported: one that comes early by some milliseconds counts, too.
+const REPORT_PERIOD_NS: u64 = 900_000_000;
 /// Waypoints to a point of the published plan: one each 0.1 m on maps of 0.05 m.
 const PLAN_STRIDE: usize = 2;
 
