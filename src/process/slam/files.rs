@@ -74,12 +74,15 @@ pub struct Loaded {
     pub front: FrontEnd,
     /// Back end with the session's graph.
     pub back: BackEnd,
-    /// What a person is to know of the map's frame; empty if it is of this run.
+    /// What a person is to know of the map's frame; empty if it is known to be of this run.
     pub note: &'static str,
 }
 
 /// What is said of a map of another run, whose frame nobody compares with this run's: merging takes it to lie where the map before lay.
 const OTHER_FRAME: &str = "; the map is of another run: the fleet's map has it where this robot's map lay";
+/// What is said of a map without a session, whose file does not say of which run it is.
+const UNKNOWN_FRAME: &str =
+    "; if the map is of another run, the fleet's map has it where this robot's map lay";
 
 /// Performs jobs, one after the other.
 pub struct SlamFileWorker<C, S> {
@@ -175,7 +178,7 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
         }
         let session = if is_map {
             let grid = self.storage.read_map(path)?;
-            Session::from_grid(SessionIdentity { run: 0, ..*identity }, grid.view(), &self.config)
+            Session::from_grid(*identity, grid.view(), &self.config)
         } else {
             sessions::read(&self.storage, path, identity)?
         };
@@ -195,7 +198,12 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
             Some(InitialPoseKind::LastNode) => poses.last().copied().map_or(InitialPose::Unknown, at),
             Some(InitialPoseKind::Unknown) | None => InitialPose::Unknown,
         };
-        let note = if session.identity.run == identity.run { "" } else { OTHER_FRAME };
+        let is_own = session.identity.run == identity.run;
+        let note = match (is_map, is_own) {
+            (true, _) => UNKNOWN_FRAME,
+            (false, false) => OTHER_FRAME,
+            (false, true) => "",
+        };
         let (front, back) = ::slam::create_or_resume(self.config.clone(), Some(session), mode, start);
         Ok(Loaded { front, back, note })
     }
