@@ -15,7 +15,8 @@
 //! `--logs varied` (10 to 20 minutes, mostly a few rows; `varied/csail`: one log): the logs as other robots would have made
 //! them (`varied.rs`), to find where the default configuration generalises badly. `--logs generated [--seeds 0..400[/8]]`: buildings, robots and accidents drawn from
 //! seeds, with known truth (`generated/`); seeds from 10000 on are held back from tuning. `--logs wrong-sensors [--seeds 0..96]`: the
-//! same logs with sensors that are not as described (`generated/wrong_sensor.rs`), and whether SLAM says so. `--maps DIR` writes
+//! same logs with sensors that are not as described (`generated/wrong_sensor.rs`), and whether SLAM says so. `--logs carried`, `--logs stood`: the same logs, and
+//! every robot is carried some metres, or stands, while nothing is recorded. `--maps DIR` writes
 //! every log's map there, as YAML, PGM and PNG. `--scale links.sigma_min_rad=1.3` multiplies a number of SLAM's configuration, and can
 //! be given more than once (`scripts/slam-sensitivity` does so with all numbers in turn).
 
@@ -120,10 +121,7 @@ fn args() -> Result<Args, String> {
         }
     }
     let known = |log: &String| {
-        log == "relocalize"
-            || log == "varied"
-            || log == "generated"
-            || log == "wrong-sensors"
+        ["relocalize", "varied", "generated", "wrong-sensors", "carried", "stood"].contains(&log.as_str())
             || log.starts_with("varied/")
             || ROWS.iter().any(|row| row.name == log)
     };
@@ -182,12 +180,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let generated = generate("generated", generated::Case::draw)?;
     let wrong_sensors = generate("wrong-sensors", generated::Case::draw_with_wrong_sensor)?;
+    let carried = generate("carried", generated::Case::draw_carried)?;
+    let stood = generate("stood", generated::Case::draw_stood)?;
     if !done.is_empty() {
         table::print(&done);
     }
     table::relocalized(&relocalization);
     table::varied(&varied);
-    generated::print(&generated);
+    [&generated, &carried, &stood].into_iter().for_each(|outcomes| generated::print(outcomes));
     if !wrong_sensors.is_empty() {
         generated::print_wrong_sensors(&wrong_sensors);
     }
@@ -195,6 +195,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut report = table::json(&done, &relocalization, &varied);
         report["generated"] = generated::json(&generated);
         report["wrong_sensors"] = generated::json(&wrong_sensors);
+        report["carried"] = generated::json(&carried);
+        report["stood"] = generated::json(&stood);
         std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
     }
     let wrong = |(_, outcome): &(relocalize::Task, relocalize::Outcome)| outcome.wrong > 0;

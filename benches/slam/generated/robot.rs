@@ -76,12 +76,14 @@ pub enum Event {
     Pushed,
     /// The robot is carried some metres along its route, and sees nothing meanwhile.
     Carried,
+    /// Nothing is recorded for as long as it takes to carry the robot, and it stands. Not drawn: asked for by `--logs stood`.
+    Stood,
     /// The LiDAR sees nothing for some seconds while the robot drives on.
     Blind,
 }
 
 impl Event {
-    /// All events.
+    /// All events that are drawn.
     pub const ALL: [Self; 5] = [Self::Nothing, Self::Gap, Self::Pushed, Self::Carried, Self::Blind];
 }
 
@@ -125,6 +127,7 @@ pub fn drive(building: &Building, robot: &Robot, noise: &mut Noise) -> Vec<Step>
     let (mut steps, mut last_scan): (Vec<Step>, Option<Pose2>) = (Vec::new(), None);
     let mut push = Pose2::IDENTITY;
     let mut skip = 0;
+    let mut waited_s = 0.0;
     for (tick, planned) in poses.iter().enumerate() {
         let during = (event_at..event_at + ticks).contains(&tick);
         if tick == event_at {
@@ -135,6 +138,11 @@ pub fn drive(building: &Building, robot: &Robot, noise: &mut Noise) -> Vec<Step>
                         noise.between(-0.25, 0.25),
                         noise.between(-0.3, 0.3),
                     );
+                }
+                Event::Stood => {
+                    waited_s = 2.0 * PERIOD_S;
+                    (0..2 * ticks)
+                        .for_each(|_| people.iter_mut().for_each(|person| person.walk(building, noise)));
                 }
                 Event::Carried => skip = ticks * 2,
                 _ => {}
@@ -155,7 +163,7 @@ pub fn drive(building: &Building, robot: &Robot, noise: &mut Noise) -> Vec<Step>
         last_scan = Some(truth);
         let is_blind = robot.event == Event::Blind && during;
         let ranges_m = scan(building, &people, robot, truth, is_blind, noise);
-        let stamp_s = 1.0 + tick as f64 * TICK_S;
+        let stamp_s = 1.0 + waited_s + tick as f64 * TICK_S;
         steps.push(Step { stamp_s, truth, odometry: wheels.pose(tick), ranges_m });
     }
     steps

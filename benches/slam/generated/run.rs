@@ -58,6 +58,18 @@ impl Case {
         Self { seed, kind, robot, wrong_sensor: WrongSensor::Nothing }
     }
 
+    /// Draws the case of a seed in which the robot is carried while nothing is recorded.
+    pub fn draw_carried(seed: u64) -> Self {
+        let case = Self::draw(seed);
+        Self { robot: Robot { event: Event::Carried, ..case.robot }, ..case }
+    }
+
+    /// Draws the case of a seed in which the robot stands while nothing is recorded.
+    pub fn draw_stood(seed: u64) -> Self {
+        let case = Self::draw(seed);
+        Self { robot: Robot { event: Event::Stood, ..case.robot }, ..case }
+    }
+
     /// Draws the case of a seed with sensors that are not as described.
     pub fn draw_with_wrong_sensor(seed: u64) -> Self {
         Self { wrong_sensor: WrongSensor::draw(seed), ..Self::draw(seed) }
