@@ -54,7 +54,7 @@ test("messages of every topic are decoded by their schemas", async () => {
   assert.equal(received.get("/robot1/scan").header.frame_id, "base_scan_1");
   const map = received.get("/merged_map");
   assert.equal(map.data.length, map.info.width * map.info.height);
-  assert.deepEqual(Object.keys(JSON.parse(received.get("/merge_edges").data)).sort(), ["contradicted_starts", "edges"]);
+  assert.deepEqual(Object.keys(JSON.parse(received.get("/merge_edges").data)).sort(), ["contradicted_starts", "edges", "unsaved"]);
   client.off("message", listener);
   for (const id of readers.keys()) client.unsubscribe(id);
 });
