@@ -68,7 +68,7 @@ pub struct Supervisor {
     folder: RunFolder,
     /// Why the run's folder, without which no process starts, cannot be used at present.
     folder_error: Option<String>,
-    /// The robots' starts, to be written again if they are gone.
+    /// Where each robot's map begins, to be written again if the file is gone.
     starts: Vec<Option<Pose2>>,
     /// Why the robots' starts, which were gone, could not be written again.
     starts_error: Option<String>,
@@ -87,7 +87,7 @@ enum RunFolder {
 
 impl Supervisor {
     /// Starts all processes. The bridge inherits `listener`, so that a headset's attempts queue
-    /// while it restarts. `starts` are the robots' starts.
+    /// while it restarts. `starts`: where each robot's map begins, as the run's file says.
     pub fn start(run: &Run, listener: TcpListener, starts: Vec<Option<Pose2>>) -> io::Result<Self> {
         let now = now();
         let members = run.config.processes().map(|(row, robot)| Member::new(row, robot, now));

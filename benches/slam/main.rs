@@ -31,6 +31,7 @@ mod table;
 mod varied;
 
 use drive::{Outcome, Task};
+use generated::Event;
 use seeds::Seeds;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -180,14 +181,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let generated = generate("generated", generated::Case::draw)?;
     let wrong_sensors = generate("wrong-sensors", generated::Case::draw_with_wrong_sensor)?;
-    let carried = generate("carried", generated::Case::draw_carried)?;
-    let stood = generate("stood", generated::Case::draw_stood)?;
+    let carried = generate("carried", |seed| generated::Case::draw_with_event(seed, Event::Carried))?;
+    let stood = generate("stood", |seed| generated::Case::draw_with_event(seed, Event::Stood))?;
     if !done.is_empty() {
         table::print(&done);
     }
     table::relocalized(&relocalization);
     table::varied(&varied);
-    [&generated, &carried, &stood].into_iter().for_each(|outcomes| generated::print(outcomes));
+    for (name, outcomes) in [("generated", &generated), ("carried", &carried), ("stood", &stood)] {
+        generated::print(name, outcomes);
+    }
     if !wrong_sensors.is_empty() {
         generated::print_wrong_sensors(&wrong_sensors);
     }

@@ -11,6 +11,7 @@ mod walls;
 mod wrong_sensor;
 
 use crate::seeds::{HELD_BACK, Seeds};
+pub use robot::Event;
 pub use run::Case;
 use run::{METRE_SCALE_M, Outcome, median, run};
 use serde_json::{Value, json};
@@ -66,14 +67,14 @@ fn worst(outcomes: &[Outcome]) -> Vec<&Outcome> {
     worst
 }
 
-/// Prints the figures by group, and the worst runs.
-pub fn print(outcomes: &[Outcome]) {
+/// Prints the figures of the logs of this name by group, and the worst runs.
+pub fn print(name: &str, outcomes: &[Outcome]) {
     if outcomes.is_empty() {
         return;
     }
     println!(
         "{:<28} {:>5} {:>5} {:>6} {:>6} {:>7} {:>6} {:>7} {:>6} {:>6} {:>5} {:>5} {:>8} {:>6} {:>8}",
-        "generated logs",
+        format!("{name} logs"),
         "runs",
         "wrong",
         "silent",

@@ -58,16 +58,10 @@ impl Case {
         Self { seed, kind, robot, wrong_sensor: WrongSensor::Nothing }
     }
 
-    /// Draws the case of a seed in which the robot is carried while nothing is recorded.
-    pub fn draw_carried(seed: u64) -> Self {
+    /// Draws the case of a seed, with this event on the way.
+    pub fn draw_with_event(seed: u64, event: Event) -> Self {
         let case = Self::draw(seed);
-        Self { robot: Robot { event: Event::Carried, ..case.robot }, ..case }
-    }
-
-    /// Draws the case of a seed in which the robot stands while nothing is recorded.
-    pub fn draw_stood(seed: u64) -> Self {
-        let case = Self::draw(seed);
-        Self { robot: Robot { event: Event::Stood, ..case.robot }, ..case }
+        Self { robot: Robot { event, ..case.robot }, ..case }
     }
 
     /// Draws the case of a seed with sensors that are not as described.

@@ -73,14 +73,12 @@ struct NextRequest {
 impl NextRequest {
     /// Returns the next request. `stop`: what is to be done, if that is new; `latched`: the stop on the disk.
     fn choose(&mut self, stop: Option<bool>, latched: Option<LatchedStop>) -> Request {
-        let is_same = self.waiting.is_some() && self.waiting == latched;
-        match stop {
-            Some(true) => self.waiting = None,
-            Some(false) => self.waiting = latched,
+        self.waiting = match stop {
+            Some(true) => None,
+            Some(false) => latched,
             // It is not for a stop that somebody has set since.
-            None if !is_same => self.waiting = None,
-            None => {}
-        }
+            None => self.waiting.filter(|waiting| latched == Some(*waiting)),
+        };
         match (stop, self.waiting) {
             (Some(true), _) => Request::Stop,
             (None, None) => Request::State,
