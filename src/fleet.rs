@@ -2,48 +2,21 @@
 //! Live processes and lockstep use the same functions.
 
 use crate::clock::Epoch;
-use crate::config::{FleetConfig, LABORATORY};
+use crate::config::FleetConfig;
+use crate::config::room::{self, RoomLoadError};
 use crate::run::Run;
 use crate::sessions::{self, SessionsError};
 use headset::HeadsetRobots;
 use msg::{Pose2, RobotId, Stamp};
-use sim::{Room, RoomError, RoomKind, Simulator, StartError};
-use std::io;
-use std::path::Path;
+use sim::{Room, Simulator, StartError};
 use std::time::Duration;
 
 /// Reason why a world cannot be built.
 #[derive(Debug, thiserror::Error)]
 pub enum FleetError {
-    /// The room's file cannot be read.
-    #[error(
-        "room {path}: {source}; expected `{LABORATORY}`, a generated room ({}, each with an optional :SEED), or a \
-         .json, .json.gz, .glb, .gltf or .obj file of at most {} MB",
-        generated_rooms(),
-        ROOM_BYTES_MAX >> 20
-    )]
-    RoomFile {
-        /// Path of the room's file.
-        path: String,
-        /// What the operating system said.
-        source: io::Error,
-    },
-    /// The seed of a generated room is no number.
-    #[error("room {kind}:{seed}: the seed is `{seed}`; expected a whole number from 0, as in `{kind}:7`")]
-    RoomSeed {
-        /// Kind of the generated room.
-        kind: String,
-        /// Text behind the colon.
-        seed: String,
-    },
-    /// The content of the room's file is refused.
-    #[error("room {path}: {source}")]
-    Room {
-        /// Path of the room's file.
-        path: String,
-        /// What is wrong with its content.
-        source: RoomError,
-    },
+    /// The room cannot be loaded.
+    #[error(transparent)]
+    Room(#[from] RoomLoadError),
     /// The room has no place for all robots.
     #[error("room {path}: {source}")]
     Starts {
@@ -80,30 +53,9 @@ pub enum FleetError {
 /// Smallest distance between two start poses, metres: bodies do not touch, whatever their headings.
 const START_APART_MIN_M: f64 = 2.0 * sim::burger::RADIUS_M;
 
-/// Largest file that is read as a room, bytes.
-const ROOM_BYTES_MAX: u64 = 256 << 20;
-
 /// Loads the configured room.
 pub fn room(config: &FleetConfig) -> Result<Room, FleetError> {
-    let path = config.fleet.room.as_str();
-    if path == LABORATORY {
-        return Ok(Room::laboratory());
-    }
-    if let Some((kind, seed)) = Room::parse_generated(path) {
-        return Ok(Room::generate(kind, seed));
-    }
-    if let Some((kind, seed)) = path.split_once(':').filter(|(kind, _)| RoomKind::from_name(kind).is_some()) {
-        return Err(FleetError::RoomSeed { kind: kind.into(), seed: seed.into() });
-    }
-    let bytes = formats::limited::read(Path::new(path), ROOM_BYTES_MAX)
-        .map_err(|source| FleetError::RoomFile { path: path.into(), source })?;
-    let name = Path::new(path).file_name().map_or_else(|| path.into(), |name| name.to_string_lossy());
-    Room::from_bytes(&name, &bytes).map_err(|source| FleetError::Room { path: path.into(), source })
-}
-
-/// Lists the kinds of generated rooms, as a configuration names them.
-fn generated_rooms() -> String {
-    RoomKind::ALL.map(|kind| format!("`{}`", kind.name())).join(", ")
+    Ok(room::load(&config.fleet.room)?)
 }
 
 /// Returns each robot's start pose: `world` from its `robotK/map`, whose origin is there.

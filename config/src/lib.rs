@@ -8,6 +8,7 @@ mod link;
 mod recording;
 pub mod resources;
 pub mod robots;
+pub mod room;
 mod sessions;
 
 pub use error::{ConfigError, ValueError};
@@ -131,8 +132,9 @@ pub struct Fleet {
     /// Seed of all random numbers, 0 to 9223372036854775807.
     pub seed: u64,
     /// Room of the simulators: `laboratory`; `office`, `warehouse`, `school`, `museum`, `flat` or `hall`, generated from a
-    /// seed as in `office:7`; or the path of a scanned room (.json, .json.gz; also MRUK's), .glb, .gltf or .obj. A
-    /// relative path begins in the folder in which the program is started.
+    /// seed as in `office:7`; the path of a map as map_saver writes it (.yaml), whose coordinates are then those of the
+    /// room; or of a scanned room (.json, .json.gz; also MRUK's), .glb, .gltf or .obj. A relative path begins in the folder
+    /// in which the program is started.
     pub room: String,
     /// Starts of the robots in the room, or in `map` if the world is not simulated: `[x, y, yaw]` in metres and radians,
     /// one for each robot. Empty: places are chosen, or, if the world is not simulated, all but the first are unknown.

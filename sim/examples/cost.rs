@@ -1,6 +1,6 @@
 //! Prints the time of a tick and of a scan: median, 99th percentile and largest, microseconds.
 //!
-//! `cargo run --release -p sim --example cost -- [ROOM_FILE]...`
+//! `cargo run --release -p sim --example cost -- [ROOM_FILE|MAP.yaml|KIND:SEED]...`
 
 use bytemuck::Zeroable;
 use msg::{GroundTruth, RobotId, Scan, VelocityCommand};
@@ -13,7 +13,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("{:<28}{:>7}{:>7}{:>20}{:>22}", "room", "peers", "rays", "tick p50/p99/max", "scan p50/p99/max");
     let mut rooms = vec![Room::laboratory()];
     for path in std::env::args().skip(1) {
-        rooms.push(Room::from_bytes(&path, &std::fs::read(&path)?)?);
+        let begun = Instant::now();
+        rooms.push(load(&path)?);
+        println!("{path} is loaded in {:.2} s", begun.elapsed().as_secs_f64());
     }
     for room in &rooms {
         for (peers, lidar) in [
@@ -26,6 +28,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     measure(&rooms[0], 15, LidarConfig::PAPER)
+}
+
+fn load(path: &str) -> Result<Room, Box<dyn std::error::Error>> {
+    if let Some((kind, seed)) = Room::parse_generated(path) {
+        return Ok(Room::generate(kind, seed));
+    }
+    if path.ends_with(".yaml") {
+        return Ok(Room::from_map(path, formats::map_file::read_map(path.as_ref())?.view())?);
+    }
+    Ok(Room::from_bytes(path, &std::fs::read(path)?)?)
 }
 
 fn measure(room: &Room, peers: usize, lidar: LidarConfig) -> Result<(), Box<dyn std::error::Error>> {

@@ -22,7 +22,7 @@ mod simulator;
 
 pub use config::{ConfigError, HeadingSource, LidarConfig, Limits, NoiseConfig, SimConfig};
 pub use room::{
-    AccessorError, AnchorError, EntityError, Furniture, GltfError, MeshError, MrukError, ObjError,
+    AccessorError, AnchorError, EntityError, Furniture, GltfError, MapError, MeshError, MrukError, ObjError,
     PolygonError, Room, RoomError, RoomKind, SceneError, StartError,
 };
 pub use simulator::{Simulator, StepOutput, transforms_of};

@@ -20,7 +20,7 @@ pub struct FleetArgs {
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// Room: `laboratory`; `office`, `warehouse`, `school`, `museum`, `flat` or `hall`, generated from a seed as in `office:7`; or
-    /// a scanned room (.json, .json.gz), .glb, .gltf, .obj [default: laboratory]
+    /// a map (.yaml of map_server), a scanned room (.json, .json.gz), .glb, .gltf, .obj [default: laboratory]
     #[arg(long, value_name = "NAME|FILE")]
     pub room: Option<String>,
     /// Source of robots, scans and time [default: simulator]

@@ -1,19 +1,20 @@
 //! The plan of a fleet's room, computed once for all runs of a program in the same room: it takes as long as some ten seconds of a run.
 
-use crate::config::{FleetConfig, RobotSource};
+use crate::config::{FleetConfig, RobotSource, room};
 use crate::fleet::FleetError;
 use crate::process::telemetry::map_worker::room_plan;
 use msg::Grid;
 use std::collections::VecDeque;
 use std::fs;
+use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::SystemTime;
 
 /// Plans that are kept; beyond them the oldest is dropped.
 const PLANS_MAX: usize = 8;
 
-/// The room of a configuration; for a file also its length and when it was written last.
-type RoomKey = (String, Option<(u64, SystemTime)>);
+/// The room of a configuration; for files also their lengths and when each was written last.
+type RoomKey = (String, Vec<Option<(u64, SystemTime)>>);
 
 /// The newest plans, oldest first.
 static PLANS: Mutex<VecDeque<(RoomKey, Option<Grid>)>> = Mutex::new(VecDeque::new());
@@ -24,7 +25,9 @@ pub(super) fn cached_room_plan(config: &FleetConfig) -> Result<Option<Grid>, Fle
         return room_plan(config);
     }
     let path = config.fleet.room.clone();
-    let written = fs::metadata(&path).ok().and_then(|file| Some((file.len(), file.modified().ok()?)));
+    let written =
+        |file: PathBuf| fs::metadata(file).ok().and_then(|file| Some((file.len(), file.modified().ok()?)));
+    let written = room::files(&path).into_iter().map(written).collect();
     let key = (path, written);
     // A thread that panicked here has left whole entries.
     let plans = || PLANS.lock().unwrap_or_else(|poisoned| poisoned.into_inner());

@@ -26,6 +26,7 @@ mod killed_slam;
 mod layering;
 mod lockstep;
 mod malformed;
+mod map_rooms;
 mod maps;
 mod navigation;
 mod page;

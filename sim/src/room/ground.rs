@@ -8,7 +8,7 @@ use glam::Vec3;
 /// Height up to which triangles belong to the floor, metres: edges of carpets, thresholds, noise of a scan.
 pub(crate) const FLOOR_RELIEF_M: f32 = 0.03;
 /// Length of a cell's side, metres.
-const CELL_M: f64 = 0.05;
+pub(crate) const CELL_M: f64 = 0.05;
 /// Radius up to which a hole in a scanned floor is closed, metres.
 const HOLE_RADIUS_M: f32 = 0.15;
 /// Margin between a robot and an obstacle in a cell where the robot fits, metres.
@@ -50,9 +50,14 @@ impl Ground {
             let outline = slab(&corners, FLOOR_RELIEF_M, burger::HEIGHT_M as f32 + HEAD_MARGIN_M);
             raster.mark_polygon(&mut obstacles, &outline);
         }
-        let clearance_m = raster.distances_m(&obstacles);
+        Self::from_cells(raster, floor, &obstacles)
+    }
+
+    /// Finds where robots fit between the cells of obstacles on the cells of the floor.
+    pub(crate) fn from_cells(raster: Raster, floor: Vec<bool>, obstacles: &[bool]) -> Self {
+        let clearance_m = raster.distances_m(obstacles);
         let free: Vec<bool> =
-            floor.iter().zip(&obstacles).map(|(floor, obstacle)| *floor && !obstacle).collect();
+            floor.iter().zip(obstacles).map(|(floor, obstacle)| *floor && !obstacle).collect();
         let (open, open_sizes) = raster.regions(&free);
         let fits: Vec<bool> = free.iter().zip(&clearance_m).map(|(free, c)| *free && *c >= FIT_M).collect();
         let (regions, sizes) = raster.regions(&fits);

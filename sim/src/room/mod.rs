@@ -7,6 +7,7 @@ mod gltf;
 mod gltf_error;
 mod ground;
 mod laboratory;
+mod map;
 mod mesh;
 mod mruk;
 mod obj;
@@ -22,6 +23,7 @@ pub use generated::RoomKind;
 use glam::Vec3;
 pub use gltf_error::{AccessorError, GltfError, MeshError};
 use ground::{FLOOR_RELIEF_M, Ground};
+pub use map::MapError;
 use mesh::Mesh;
 pub use mruk::{AnchorError, MrukError};
 pub use obj::ObjError;
@@ -55,7 +57,9 @@ pub struct Room {
 #[derive(Debug, thiserror::Error)]
 pub enum RoomError {
     /// Neither the content nor the name tells a known format.
-    #[error("{name}: is neither a scene (.json, .json.gz), nor glTF (.glb, .gltf), nor OBJ (.obj)")]
+    #[error(
+        "{name}: is neither a scene (.json, .json.gz), nor glTF (.glb, .gltf), nor OBJ (.obj); a map is named by its .yaml"
+    )]
     UnknownFormat {
         /// Name of the file as given.
         name: String,
@@ -75,6 +79,9 @@ pub enum RoomError {
     /// The content is no usable OBJ.
     #[error("not a readable OBJ room: {0}")]
     Obj(#[from] ObjError),
+    /// The occupancy grid is no usable room.
+    #[error(transparent)]
+    Map(#[from] MapError),
     /// The compressed content is damaged.
     #[error("not a readable gzip room: {0}")]
     Gzip(#[source] std::io::Error),

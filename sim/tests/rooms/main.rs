@@ -3,6 +3,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod made;
+mod map;
 
 use common::{quiet, robot, scan};
 use core::f64::consts::PI;
