@@ -142,8 +142,9 @@ proptest! {
 fn cells_that_touch_at_a_corner_alone_let_no_beam_through() {
     let mut map = free_map(81, 81, 0.05, Pose2::new(-2.025, -2.025, 0.0));
     for i in 0..=30 {
-        [[10 + i, 40 + i], [40 + i, 70 - i], [70 - i, 40 - i], [40 - i, 10 + i]]
-            .map(|[x, y]| set(&mut map, x, y, OCCUPIED));
+        for [column, row] in [[10 + i, 40 + i], [40 + i, 70 - i], [70 - i, 40 - i], [40 - i, 10 + i]] {
+            set(&mut map, column, row, OCCUPIED);
+        }
     }
     let scan = lidar(&room(&map), Pose2::new(0.032, 0.0, 0.0)).unwrap();
     for (beam, range_m) in scan.ranges_m().iter().enumerate() {

@@ -245,7 +245,7 @@ mod tests {
 
         #[test]
         fn a_ray_ends_at_the_first_cell_that_it_enters_deeply(
-            bitmap in bitmaps(), from in (1.0..11.0, 1.0..11.0), angle in 0.0..6.28,
+            bitmap in bitmaps(), from in (1.0..11.0, 1.0..11.0), angle in 0.0..core::f64::consts::TAU,
         ) {
             let (from, direction) = (DVec2::from(from), DVec2::from_angle(angle));
             prop_assume!(bitmap.distance(from) > 0.0);
