@@ -83,7 +83,7 @@ fn a_fleet_in_a_map_maps_its_walls() {
     formats::map_file::write_map(&folder.path().join("building"), building.view()).unwrap();
     let mut config = FleetConfig::default();
     config.fleet.room = folder.path().join("building.yaml").display().to_string();
-    (config.fleet.robots, config.fleet.starts) = (1, vec![[-1.0, 0.0, 0.0]]);
+    (config.fleet.robots, config.fleet.starts) = (1, vec![[0.0; 3]]);
     let mut fleet = Lockstep::new(&config, true).unwrap();
     (0..2000).for_each(|_| fleet.tick(&mut |_, _| {}));
     let map = fleet.maps().map(|(_, map)| map.to_owned()).next().unwrap();

@@ -12,7 +12,7 @@ use super::{EXTENT_MAX_M, Room, RoomError, TRIANGLES_MAX};
 use glam::{DVec2, Vec3};
 use msg::grid::{CELLS_MAX, Occupancy, UNKNOWN, occupancy};
 use msg::{GridView, Pose2};
-use outline::{OutlinePoint, count_sides, simplify, visit_rings};
+use outline::{OutlinePoint, count_sides, simplify, visit_outlines};
 use parry3d::shape::TriMesh;
 use std::sync::Arc;
 
@@ -104,8 +104,8 @@ impl Room {
         if sides > SIDES_MAX {
             return Err(MapError::TooManySides { sides }.into());
         }
-        visit_rings(size, is_occupied, |ring| walls.add_ring(&cells, ring));
-        visit_rings(size, is_blocked, |ring| walls.add_border(&cells, ring));
+        visit_outlines(size, is_occupied, |ring| walls.add_ring(&cells, ring));
+        visit_outlines(size, is_blocked, |ring| walls.add_border(&cells, ring));
         let count = walls.triangles.len();
         if count > TRIANGLES_MAX {
             return Err(RoomError::TooMany { what: "triangles", count, max: TRIANGLES_MAX });

@@ -1,4 +1,4 @@
-//! Outlines of sets of cells: closed rings around each connected part and around each of its holes.
+//! Outlines of sets of cells: closed lines around each connected part and around each of its holes.
 //!
 //! Cells that touch at an edge or at a corner are connected, so that a wall whose cells touch at corners alone stays closed.
 
@@ -79,7 +79,7 @@ pub(super) fn count_sides([width, height]: [usize; 2], is_inside: impl Fn(i32, i
 
 /// Calls `visit` with each ring around a part or a hole of the set of cells for which `is_inside` holds. All sides lie in
 /// `width` by `height` cells: beyond them every cell has the value of the nearest one on the rim.
-pub(super) fn visit_rings(
+pub(super) fn visit_outlines(
     [width, height]: [usize; 2],
     is_inside: impl Fn(i32, i32) -> bool,
     mut visit: impl FnMut(&[OutlinePoint]),
@@ -179,10 +179,14 @@ mod tests {
             all.filter(|(column, row)| self.has(*column, *row))
         }
 
-        fn rings(&self) -> Vec<Vec<OutlinePoint>> {
-            let mut rings = Vec::new();
-            visit_rings([SIDE; 2], |column, row| self.has(column, row), |ring| rings.push(ring.to_vec()));
-            rings
+        fn outlines(&self) -> Vec<Vec<OutlinePoint>> {
+            let mut outlines = Vec::new();
+            visit_outlines(
+                [SIDE; 2],
+                |column, row| self.has(column, row),
+                |ring| outlines.push(ring.to_vec()),
+            );
+            outlines
         }
 
         /// Segments between the centres of cells of the set that touch at an edge, or at a corner without a third one between.
@@ -228,14 +232,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn rings_pass_each_side_between_inside_and_outside_once(bitmap in bitmaps()) {
+        fn outlines_pass_each_side_between_inside_and_outside_once(bitmap in bitmaps()) {
             let sides = bitmap.cells().flat_map(|(x, y)| SIDES.map(|(dx, dy)| (x + dx, y + dy)));
             let expected = sides.filter(|(x, y)| !bitmap.has(*x, *y)).count();
-            let rings = bitmap.rings();
+            let outlines = bitmap.outlines();
             prop_assert_eq!(count_sides([SIDE; 2], |column, row| bitmap.has(column, row)), expected);
             let is_middle = |point: &&OutlinePoint| (point.position - point.position.floor()).to_array().contains(&0.5);
-            prop_assert_eq!(rings.iter().flatten().filter(is_middle).count(), expected);
-            for ring in rings {
+            prop_assert_eq!(outlines.iter().flatten().filter(is_middle).count(), expected);
+            for ring in outlines {
                 let next = ring.iter().cycle().skip(1);
                 for (point, next) in ring.iter().zip(next) {
                     prop_assert!(point.position.distance(next.position) <= 1.0);
@@ -249,8 +253,8 @@ mod tests {
         ) {
             let (from, direction) = (DVec2::from(from), DVec2::from_angle(angle));
             prop_assume!(bitmap.distance(from) > 0.0);
-            let rings = bitmap.rings();
-            let edges = rings.iter().flat_map(|ring| ring.iter().zip(ring.iter().cycle().skip(1)));
+            let outlines = bitmap.outlines();
+            let edges = outlines.iter().flat_map(|ring| ring.iter().zip(ring.iter().cycle().skip(1)));
             let edges = edges.map(|(a, b)| [a.position, b.position]);
             let nearest = |hits: &mut dyn Iterator<Item = f64>| hits.fold(f64::INFINITY, f64::min);
             let range = nearest(&mut edges.filter_map(|edge| crossing(from, direction, edge)));
