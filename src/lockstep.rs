@@ -138,8 +138,8 @@ impl Lockstep {
         let port = Port::new(&network);
         let runs = |row: &ProcessRow| has_navigation || row.role != Role::Nav;
         let mut rows: Vec<_> = run.config.processes().filter(|(row, _)| runs(row)).collect();
-        // Processes in the order of the data flow: robots, SLAM, merging, figures, bridge.
-        rows.sort_by_key(|(row, robot)| (row.role, *robot));
+        // Processes in the order of the data flow: what moves in the room, robots, SLAM, merging, figures, bridge.
+        rows.sort_by_key(|(row, robot)| (row.role != Role::Objects, row.role, *robot));
         let asker = MemoryPorts::attach(&network, Opener::of_fleet(Program::SlamTool));
         let requests = run.robots().map(|robot| asker.writer(&channel::slam_request(robot)));
         Ok(Self {
@@ -179,7 +179,10 @@ impl Lockstep {
         recording: Rc<FleetRecording>,
         sends_transforms: bool,
     ) -> Result<Self, Error> {
-        let mut fleet = Self::new(config, false)?;
+        // What moved in the room is in the scans.
+        let mut config = config.clone();
+        config.sim.moving = sim::MovingConfig::default();
+        let mut fleet = Self::new(&config, false)?;
         fleet.world.network.clock().set(fleet.world.run.epoch.moment(recording.begins()));
         (fleet.world.recording, fleet.world.sends_transforms) = (Some(recording), sends_transforms);
         Ok(fleet)

@@ -354,7 +354,7 @@ fn unsaved_without_end(role: Role) -> Option<&'static str> {
 fn start_rank(role: Role) -> u8 {
     match role {
         Role::Bridge => 0,
-        Role::Sim | Role::Slam | Role::Merge | Role::Record => 1,
+        Role::Sim | Role::Objects | Role::Slam | Role::Merge | Role::Record => 1,
         Role::Nav | Role::Telemetry => 2,
     }
 }

@@ -304,7 +304,8 @@ impl FleetConfig {
     pub fn processes(&self) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
         // Robots on other machines have their SLAM there.
         let has_slam = self.world != RobotSource::Robots;
-        processes::of_fleet(self.fleet.robots, self.world.is_external(), self.recording.enabled)
+        let (external, moving) = (self.world.is_external(), self.sim.moving.is_any());
+        processes::of_fleet(self.fleet.robots, external, self.recording.enabled, moving)
             .filter(move |(row, _)| has_slam || row.role != Role::Slam)
     }
 

@@ -21,12 +21,22 @@ pub enum Role {
     Record = 6,
     /// Drives robots to goals.
     Nav = 7,
+    /// Simulates the people, doors and boxes that move in the room.
+    Objects = 8,
 }
 
 impl Role {
     /// All roles in the order of their codes.
-    pub const ALL: [Self; 7] =
-        [Self::Sim, Self::Slam, Self::Merge, Self::Telemetry, Self::Bridge, Self::Record, Self::Nav];
+    pub const ALL: [Self; 8] = [
+        Self::Sim,
+        Self::Slam,
+        Self::Merge,
+        Self::Telemetry,
+        Self::Bridge,
+        Self::Record,
+        Self::Nav,
+        Self::Objects,
+    ];
 
     /// Decodes a role; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
@@ -43,6 +53,7 @@ impl Role {
             Self::Bridge => "bridge",
             Self::Record => "record",
             Self::Nav => "nav",
+            Self::Objects => "objects",
         }
     }
 }

@@ -31,6 +31,7 @@ mod exploration;
 mod health;
 mod id;
 mod motion;
+mod moving_objects;
 mod navigation;
 pub mod pose;
 mod scan;
@@ -62,6 +63,7 @@ pub use motion::{
     Clock, GroundTruth, Odometry, RobotFrame, RobotFrameTransform, TRANSFORMS_MAX, Transforms,
     VelocityCommand,
 };
+pub use moving_objects::{MOVING_OBJECTS_MAX, MovingObject, MovingObjects, OBJECTS_OF_KIND_MAX, ObjectKind};
 pub use navigation::{
     GOAL_POSES_MAX, NavigationAction, NavigationCommand, NavigationFrame, NavigationPlan, NavigationPose,
     NavigationReport, NavigationStatus, PLAN_POINTS_MAX, PauseReason, REASON_BYTES_MAX, RobotHold,
@@ -155,5 +157,6 @@ messages!(
     ZoneCommand,
     ExclusionZones,
     ScanDemand,
-    RobotHold
+    RobotHold,
+    MovingObjects
 );

@@ -36,6 +36,8 @@ pub struct ProcessRow {
     pub simulated_world_only: bool,
     /// Whether it runs only where the fleet is recorded.
     pub recording_only: bool,
+    /// Whether it runs only where people, doors or boxes move in the simulated room.
+    pub moving_objects_only: bool,
     /// What it begins from when it is started again.
     pub restart_input: RestartInput,
     /// Longest time without a pass of its main loop; then the supervisor judges whether it hangs.
@@ -64,13 +66,14 @@ const OF_FLEET: ProcessRow = ProcessRow {
     per_robot: false,
     simulated_world_only: false,
     recording_only: false,
+    moving_objects_only: false,
     restart_input: RestartInput::Folder,
     silence_max: SILENCE_MAX,
     second_thread: None,
 };
 
 /// All processes of a fleet. The supervisor starts the bridge first, then what the first map needs.
-pub static PROCESSES: [ProcessRow; 7] = [
+pub static PROCESSES: [ProcessRow; 8] = [
     ProcessRow {
         role: Role::Bridge,
         silence_max: BRIDGE_SILENCE_MAX,
@@ -95,18 +98,24 @@ pub static PROCESSES: [ProcessRow; 7] = [
         ..OF_FLEET
     },
     ProcessRow { role: Role::Record, recording_only: true, ..OF_FLEET },
+    ProcessRow { role: Role::Objects, simulated_world_only: true, moving_objects_only: true, ..OF_FLEET },
 ];
 
 /// Every process of a fleet: those of the fleet, then robot by robot.
 ///
-/// `external`: the robots are not simulated here. `recorded`: the fleet has a recorder.
+/// `external`: the robots are not simulated here. `recorded`: the fleet has a recorder. `has_moving_objects`: people, doors or boxes move
+/// in the simulated room.
 pub fn of_fleet(
     robots: usize,
     external: bool,
     recorded: bool,
+    has_moving_objects: bool,
 ) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
-    let runs =
-        move |row: &&ProcessRow| !(row.simulated_world_only && external) && (recorded || !row.recording_only);
+    let runs = move |row: &&ProcessRow| {
+        !(row.simulated_world_only && external)
+            && (recorded || !row.recording_only)
+            && (has_moving_objects || !row.moving_objects_only)
+    };
     let of_robot = move |robot| {
         let rows = PROCESSES.iter().filter(|row| row.per_robot).filter(runs);
         rows.map(move |row| (row, Some(robot)))

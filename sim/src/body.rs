@@ -144,27 +144,38 @@ impl Body {
 
     /// Adds the body of a peer to the world.
     pub(crate) fn insert_peer(&mut self, world_from_base: Pose2) -> RigidBodyHandle {
-        let body = RigidBodyBuilder::kinematic_position_based().pose(upright_pose(world_from_base));
-        let hull =
-            ColliderBuilder::new(burger::hull()).friction(HULL_FRICTION).collision_groups(groups(PEER, HULL));
-        self.world.insert(body, hull).0
+        self.insert_obstacle((burger::hull(), Pose::IDENTITY), world_from_base)
     }
 
-    /// Sets the pose of a peer's body at once, without motion.
-    pub(crate) fn place_peer(&mut self, peer: RigidBodyHandle, world_from_base: Pose2) {
-        let body = &mut self.world.bodies[peer];
+    /// Adds the body of something else that moves: its shape, with the shape's pose in it, and its pose.
+    pub(crate) fn insert_obstacle(
+        &mut self,
+        (shape, obstacle_from_shape): (SharedShape, Pose),
+        world_from_obstacle: Pose2,
+    ) -> RigidBodyHandle {
+        let body = RigidBodyBuilder::kinematic_position_based().pose(upright_pose(world_from_obstacle));
+        let collider = ColliderBuilder::new(shape)
+            .position(obstacle_from_shape)
+            .friction(HULL_FRICTION)
+            .collision_groups(groups(PEER, HULL));
+        self.world.insert(body, collider).0
+    }
+
+    /// Sets the pose of a body that was added at once, without motion.
+    pub(crate) fn place_obstacle(&mut self, obstacle: RigidBodyHandle, world_from_obstacle: Pose2) {
+        let body = &mut self.world.bodies[obstacle];
         body.set_enabled(true);
-        body.set_position(upright_pose(world_from_base), true);
+        body.set_position(upright_pose(world_from_obstacle), true);
     }
 
-    /// Moves a peer's body to a pose in the next physics step, so that it pushes what it meets.
-    pub(crate) fn move_peer(&mut self, peer: RigidBodyHandle, world_from_base: Pose2) {
-        self.world.bodies[peer].set_next_kinematic_position(upright_pose(world_from_base));
+    /// Moves a body that was added to a pose in the next physics step, so that it pushes what it meets.
+    pub(crate) fn move_obstacle(&mut self, obstacle: RigidBodyHandle, world_from_obstacle: Pose2) {
+        self.world.bodies[obstacle].set_next_kinematic_position(upright_pose(world_from_obstacle));
     }
 
-    /// Removes a peer's body until it is placed again.
-    pub(crate) fn hide_peer(&mut self, peer: RigidBodyHandle) {
-        self.world.bodies[peer].set_enabled(false);
+    /// Removes a body that was added until it is placed again.
+    pub(crate) fn hide_obstacle(&mut self, obstacle: RigidBodyHandle) {
+        self.world.bodies[obstacle].set_enabled(false);
     }
 
     fn handles(&self) -> [RigidBodyHandle; 3] {

@@ -1,5 +1,9 @@
 //! Configuration of a simulated robot. Angles are in degrees; all other values are in SI units.
 
+mod moving;
+
+pub use moving::MovingConfig;
+
 use crate::burger;
 use msg::{BEAMS_MAX, BEAMS_MIN};
 use serde::de::value::MapAccessDeserializer;
@@ -17,6 +21,8 @@ pub struct SimConfig {
     pub noise: NoiseConfig,
     /// Limits of velocity commands.
     pub limits: Limits,
+    /// People, doors and boxes that move in the room.
+    pub moving: MovingConfig,
 }
 
 impl SimConfig {
@@ -24,7 +30,8 @@ impl SimConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.lidar.validate()?;
         self.noise.validate()?;
-        self.limits.validate()
+        self.limits.validate()?;
+        self.moving.validate()
     }
 }
 
@@ -354,6 +361,7 @@ mod tests {
             ("[limits]\nlinear_m_s = 0", "limits.linear_m_s"),
             ("[limits]\nangular_rad_s = -inf", "limits.angular_rad_s"),
             ("[limits]\ncommand_timeout_s = 0", "limits.command_timeout_s"),
+            ("[moving]\ndoors = 17", "moving.doors"),
         ] {
             assert_eq!(refused(text).field, field);
         }

@@ -1,10 +1,11 @@
-//! Simulation of a planar LiDAR by ray casting. It sees the room and the peers but not its own robot.
+//! Simulation of a planar LiDAR by ray casting. It sees the room, what moves in it, and the peers, but not its own robot.
 
 use crate::burger::{self, HOUSING_CENTRE_M, HOUSING_HALF_HEIGHT_M, HOUSING_RADIUS_M};
 use crate::config::{LidarConfig, NoiseConfig};
+use crate::moving::Outline;
 use crate::noise::Noise;
 use glam::{DVec3, Vec3};
-use msg::{ROBOTS_MAX, Scan};
+use msg::{MOVING_OBJECTS_MAX, ROBOTS_MAX, Scan};
 use parry3d::math::Pose;
 use parry3d::query::{Ray, RayCast};
 use parry3d::shape::{Cuboid, Shape};
@@ -13,6 +14,14 @@ use parry3d::shape::{Cuboid, Shape};
 const PEER_BALL_CENTRE: Vec3 = Vec3::new(-0.025, 0.0, 0.096);
 /// Radius of that ball, metres: from the centre to the farthest corner of [`burger::BOXES_M`].
 const PEER_BALL_RADIUS_M: f32 = 0.16;
+
+/// What the beams of a scan can meet, in `world`.
+pub(crate) struct Surroundings<'a> {
+    pub(crate) room: &'a dyn Shape,
+    pub(crate) world_from_peers: &'a [Pose],
+    /// Outlines of people, doors and boxes, which are higher than the beams.
+    pub(crate) objects: &'a [Outline],
+}
 
 /// LiDAR of one robot.
 pub(crate) struct Lidar {
@@ -38,10 +47,10 @@ impl Lidar {
     pub(crate) fn scan_into(
         &mut self,
         scan: &mut Scan,
-        room: &dyn Shape,
         world_from_base: Pose,
-        world_from_peers: &[Pose],
+        surroundings: &Surroundings<'_>,
     ) {
+        let Surroundings { room, world_from_peers, .. } = *surroundings;
         let config = &self.config;
         scan.angle_min_rad = config.angle_min_deg.to_radians() as f32;
         scan.angle_increment_rad = config.angle_increment_rad() as f32;
@@ -59,6 +68,13 @@ impl Lidar {
             *target = Target::new(*world_from_peer);
         }
         let targets = &targets[..world_from_peers.len().min(ROBOTS_MAX)];
+        let from = world_from_scan.translation;
+        let near = surroundings.objects.iter().filter(|object| {
+            object.distance_of_centre_m([from.x.into(), from.y.into()])
+                <= config.range_max_m + object.bound_m()
+        });
+        let mut objects = [None; MOVING_OBJECTS_MAX];
+        objects.iter_mut().zip(near).for_each(|(slot, object)| *slot = Some(object));
         let (beams, unused) = scan.ranges_m.split_at_mut(self.directions.len());
         for (range_m, direction) in beams.iter_mut().zip(&self.directions) {
             let ray = Ray::new(world_from_scan.translation, world_from_scan.rotation * *direction);
@@ -66,6 +82,10 @@ impl Lidar {
             for target in targets {
                 let far_m = nearest_m.unwrap_or(scan.range_max_m);
                 nearest_m = target.cast(&ray, far_m).or(nearest_m);
+            }
+            for object in objects.iter().map_while(|object| *object) {
+                let far_m = nearest_m.unwrap_or(scan.range_max_m);
+                nearest_m = object.cast(&ray, far_m).or(nearest_m);
             }
             *range_m = self.errors.measure(nearest_m, config);
         }

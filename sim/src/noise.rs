@@ -36,6 +36,29 @@ impl Noise {
     }
 }
 
+/// Numbers of one object that moves in the room: they depend only on the seed and the object.
+pub(crate) struct Draws(Pcg64Mcg);
+
+impl Draws {
+    /// `stream` tells objects apart, and what a process that was started again draws from what the one before drew.
+    pub(crate) fn new(seed: u64, stream: u64) -> Self {
+        // Streams of robots are below 2^16.
+        let stream = 1 << 32 | stream;
+        Self(Pcg64Mcg::new(u128::from(mix(seed)) << 64 | u128::from(mix(seed ^ mix(stream)))))
+    }
+
+    /// Draws evenly between two numbers.
+    pub(crate) fn between(&mut self, [low, high]: [f64; 2]) -> f64 {
+        let uniform: f64 = StandardUniform.sample(&mut self.0);
+        low + uniform * (high - low)
+    }
+
+    /// Draws a whole number below `count`; 0 if there is none.
+    pub(crate) fn below(&mut self, count: usize) -> usize {
+        (self.between([0.0, count as f64]) as usize).min(count.saturating_sub(1))
+    }
+}
+
 /// Mixes the bits of a seed (SplitMix64's first output), so that consecutive seeds give unrelated streams.
 fn mix(seed: u64) -> u64 {
     SplitMix64::seed_from_u64(seed).next_u64()

@@ -47,7 +47,7 @@ impl Peers {
         if !peer.present {
             peer.present = true;
             peer.world_from_base = truth.world_from_base;
-            body.place_peer(peer.body, truth.world_from_base);
+            body.place_obstacle(peer.body, truth.world_from_base);
         }
     }
 
@@ -57,14 +57,14 @@ impl Peers {
             let age_s = now - peer.truth.header.stamp;
             if age_s > SILENT_MAX_S {
                 peer.present = false;
-                body.hide_peer(peer.body);
+                body.hide_obstacle(peer.body);
                 continue;
             }
             let next = extrapolate(&peer.truth, age_s);
             if next.distance_m(peer.world_from_base) > JUMP_MIN_M {
-                body.place_peer(peer.body, next);
+                body.place_obstacle(peer.body, next);
             } else {
-                body.move_peer(peer.body, next);
+                body.move_obstacle(peer.body, next);
             }
             peer.world_from_base = next;
         }

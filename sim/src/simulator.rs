@@ -3,7 +3,9 @@
 use crate::body::{Body, upright_pose};
 use crate::burger;
 use crate::config::{Limits, SimConfig};
-use crate::lidar::{Lidar, RangeNoise};
+use crate::lidar::{Lidar, RangeNoise, Surroundings};
+use crate::moving::Outline;
+use crate::moving_bodies::MovingBodies;
 use crate::noise::{Noise, NoiseStream};
 use crate::odometry::WheelOdometry;
 use crate::peers::{Peers, SILENT_MAX_S};
@@ -13,8 +15,8 @@ use core::time::Duration;
 use glam::DQuat;
 use msg::pose::wrap_angle;
 use msg::{
-    GroundTruth, Header, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp,
-    Transforms, VelocityCommand,
+    GroundTruth, Header, MOVING_OBJECTS_MAX, MovingObjects, Odometry, Pose2, ROBOTS_MAX, RobotFrame,
+    RobotFrameTransform, RobotId, Scan, Stamp, Transforms, VelocityCommand,
 };
 use parry3d::math::Pose;
 use parry3d::shape::SharedShape;
@@ -62,6 +64,7 @@ pub struct Simulator {
     obstacles: SharedShape,
     body: Body,
     peers: Peers,
+    objects: MovingBodies,
     odometry: WheelOdometry,
     lidar: Lidar,
     /// Ticks since the epoch of the run.
@@ -119,6 +122,7 @@ impl Simulator {
             obstacles: room.obstacles(),
             body: Body::new(room.obstacles(), world_from_start),
             peers: Peers::default(),
+            objects: MovingBodies::default(),
             odometry: WheelOdometry::new(&config.noise, noise(NoiseStream::Odometry)),
             scan_ticks: (TICKS_PER_SECOND / config.lidar.rate_hz).round() as i64,
             lidar,
@@ -187,6 +191,13 @@ impl Simulator {
         }
     }
 
+    /// Sets where people, doors and boxes are, which the LiDAR sees and the robot collides with. Without newer messages they stand.
+    /// A message with invalid values, or over a second ahead of the current time, is refused and counted.
+    pub fn update_objects(&mut self, objects: &MovingObjects) {
+        let now = self.now();
+        self.refused += u64::from(!self.objects.update(&mut self.body, objects, now));
+    }
+
     /// Returns the number of refused commands and messages of peers.
     pub fn refused(&self) -> u64 {
         self.refused
@@ -199,6 +210,7 @@ impl Simulator {
         self.ticks += 1;
         let now = self.now();
         self.peers.advance(&mut self.body, now);
+        self.objects.advance(&mut self.body, now);
         let before_rad = self.body.world_from_base().yaw_rad;
         let wheels_rad = self.body.step();
         let turned_rad = wrap_angle(self.body.world_from_base().yaw_rad - before_rad);
@@ -226,7 +238,18 @@ impl Simulator {
             *slot = upright_pose(world_from_peer);
             count += 1;
         }
-        self.lidar.scan_into(scan, &*self.obstacles, self.body.world_from_chassis(), &peers[..count]);
+        let mut objects = [Outline::disc([0.0; 2], 0.0); MOVING_OBJECTS_MAX];
+        let mut object_count = 0;
+        for (slot, outline) in objects.iter_mut().zip(self.objects.outlines()) {
+            *slot = outline;
+            object_count += 1;
+        }
+        let surroundings = Surroundings {
+            room: &*self.obstacles,
+            world_from_peers: &peers[..count],
+            objects: &objects[..object_count],
+        };
+        self.lidar.scan_into(scan, self.body.world_from_chassis(), &surroundings);
     }
 
     /// Returns the commanded velocity, m/s and rad/s: zero if the newest command is too old.

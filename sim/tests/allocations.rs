@@ -4,8 +4,8 @@ mod common;
 
 use bytemuck::Zeroable;
 use common::{drive, robot};
-use msg::{GroundTruth, Header, Pose2, Scan};
-use sim::{Room, SimConfig, Simulator};
+use msg::{GroundTruth, Header, MovingObjects, Pose2, Scan, Stamp};
+use sim::{MovingConfig, ObjectSimulator, Room, SimConfig, Simulator};
 
 /// Largest number of allocations in one tick. All are rapier's, which collects contacts and islands in short-lived
 /// vectors in every step.
@@ -17,8 +17,21 @@ fn scans_allocate_nothing_and_ticks_grow_nothing() {
     let mut simulator =
         Simulator::new(&Room::laboratory(), &SimConfig::default(), robot(1), start, 1).unwrap();
     let mut scan = Box::new(Scan::zeroed());
+    // The process of moving objects has its own memory: its messages are computed before.
+    let config = MovingConfig { people: 8, doors: 1, boxes: 2 };
+    let mut objects = ObjectSimulator::new(&Room::laboratory(), &config, &[start], 1);
+    let mut messages = (0..400).map(|number| {
+        let mut message = Box::new(MovingObjects::default());
+        objects.advance([start]);
+        objects.write(&mut message);
+        message.header.stamp = Stamp(number * 50_000_000);
+        message
+    });
+    let messages: Vec<_> = messages.by_ref().collect();
     let mut drive_about = |ticks: u32| {
         for tick in 0..ticks {
+            let newest = simulator.now().0 / 50_000_000;
+            simulator.update_objects(&messages[newest as usize]);
             if tick % 5 == 0 {
                 let header = Header { stamp: simulator.now(), ..Header::default() };
                 let world_from_base = Pose2::new(-2.0, 1.3, 0.1);

@@ -4,6 +4,7 @@ use crate::config::{ConfigError, FleetConfig, Mode, RobotSource};
 use std::path::PathBuf;
 
 /// Fleet to start: its file, and options that override the file.
+// More than 12 fields: each option is one.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct FleetArgs {
     /// Fleet file; other options override it
@@ -29,6 +30,15 @@ pub struct FleetArgs {
     /// Whether merging knows where the robots start, or has to find out [default: known]
     #[arg(long, value_name = "HOW", value_enum)]
     pub starts: Option<Starts>,
+    /// People who walk in the simulated room, 0 to 16 [default: 0]
+    #[arg(long, value_name = "N")]
+    pub people: Option<usize>,
+    /// Doors of the simulated room that open and close, 0 to 16 [default: 0]
+    #[arg(long, value_name = "N")]
+    pub doors: Option<usize>,
+    /// Boxes that are moved in the simulated room, 0 to 16 [default: 0]
+    #[arg(long, value_name = "N")]
+    pub boxes: Option<usize>,
     /// Let the robots explore by themselves
     #[arg(long)]
     pub explore: bool,
@@ -83,6 +93,10 @@ impl FleetArgs {
             fleet.names.clone_from(names);
         }
         config.world = self.world.unwrap_or(config.world);
+        let moving = &mut config.sim.moving;
+        moving.people = self.people.unwrap_or(moving.people);
+        moving.doors = self.doors.unwrap_or(moving.doors);
+        moving.boxes = self.boxes.unwrap_or(moving.boxes);
         // `--world ros` alone shall work: it enables ROS 2.
         config.bridge.dds.enabled |= self.world == Some(RobotSource::Ros);
         fleet.explore |= self.explore;

@@ -28,6 +28,8 @@ enum Role {
     Nav(ProcessArgs),
     /// Record the fleet's messages
     Record(ProcessArgs),
+    /// Move people, doors and boxes of the simulated room
+    Objects(ProcessArgs),
 }
 
 /// Ends the process when any of its threads or tasks panics, after the message. What is left without one of them would look
@@ -51,5 +53,6 @@ pub fn run(args: &WorkerArgs) -> Result<(), Error> {
         Role::Nav(args) => Process::Nav(args),
         Role::Bridge(args) => Process::Bridge(args),
         Role::Record(args) => Process::Record(args),
+        Role::Objects(args) => Process::Objects(args),
     })
 }

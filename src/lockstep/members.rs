@@ -14,6 +14,7 @@ use crate::process::graph_worker::GraphWorker;
 use crate::process::merge::{self, MergeProcess};
 use crate::process::nav::NavigationProcess;
 use crate::process::nav::state_file::NavigationFile;
+use crate::process::objects::ObjectsProcess;
 use crate::process::sim::SimulatorProcess;
 use crate::process::slam::files::SlamFileJob;
 use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
@@ -86,6 +87,7 @@ enum Body {
     Merge(Box<(MergeProcess<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
     Telemetry(Box<TelemetryProcess<MemoryPorts, ImmediateJobs<MapWorker>>>),
     Bridge(Box<BridgeServer<MemoryStorage>>),
+    Objects(Box<ObjectsProcess<MemoryPorts, MemoryStorage>>),
     Nav(Box<NavigationProcess<MemoryPorts, ImmediateJobs<NavigationFile<MemoryStorage>>>>),
 }
 
@@ -212,6 +214,7 @@ impl Member {
             (Body::Telemetry(figures), _) => figures.step(),
             (Body::Bridge(server), _) => server.step(),
             (Body::Nav(navigation), _) => navigation.step(),
+            (Body::Objects(objects), _) => objects.step(),
         };
     }
 }
@@ -259,6 +262,9 @@ impl Body {
                 let process =
                     NavigationProcess::open(&ports[0], run, storage, |file| Ok(ImmediateJobs(file)))?;
                 Self::Nav(Box::new(process))
+            }
+            Role::Objects => {
+                Self::Objects(Box::new(ObjectsProcess::open(&ports[0], run, world.storage.clone())?))
             }
             Role::Record => return Err("lockstep records with `--record FILE`".into()),
             Role::Bridge => {

@@ -47,6 +47,7 @@ fn declared(config: &FleetConfig) -> Openings {
 fn every_process_opens_the_channels_that_the_table_declares_and_no_others() {
     let mut config = FleetConfig::default();
     config.fleet.robots = 3;
+    config.sim.moving.people = 1;
     let mut fleet = Lockstep::with_navigation(&config, FaultPlan::none()).unwrap();
     fleet.tick(&mut |_, _| {});
     let is_process = |opener: &Opener| matches!(opener.program, Program::Worker(_));

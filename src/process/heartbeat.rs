@@ -56,9 +56,14 @@ impl<P: Ports> Heartbeat<P> {
     pub fn measure<R>(&mut self, work: impl FnOnce() -> R) -> R {
         let start = self.clock.now();
         let result = work();
-        // A full list keeps the period's first samples.
-        let _ = self.work_us.push(self.clock.now().since(start) as f32 * 1e-3);
+        self.record_work(self.clock.now().since(start));
         result
+    }
+
+    /// Records how long a unit of work took, nanoseconds.
+    pub fn record_work(&mut self, took_ns: u64) {
+        // A full list keeps the period's first samples.
+        let _ = self.work_us.push(took_ns as f32 * 1e-3);
     }
 
     /// Records how late periodic work begins.

@@ -12,6 +12,7 @@ pub mod link;
 mod map_publisher;
 pub mod merge;
 pub mod nav;
+pub mod objects;
 pub mod record;
 mod ros2;
 pub mod scan_demand;
@@ -125,6 +126,8 @@ pub enum Process {
     Nav(ProcessArgs),
     /// The recorder of the fleet's messages.
     Record(ProcessArgs),
+    /// Simulation of the people, doors and boxes that move in the room.
+    Objects(ProcessArgs),
 }
 
 /// Runs one process of the fleet until it is asked to stop.
@@ -145,6 +148,7 @@ pub fn run(process: &Process) -> Result<(), Error> {
         Process::Nav(args) => join(args, Role::Nav).and_then(|(run, stop)| nav::run(&run, &stop)),
         Process::Bridge(args) => join(args, Role::Bridge).and_then(|(run, stop)| bridge::run(&run, &stop)),
         Process::Record(args) => join(args, Role::Record).and_then(|(run, stop)| record::run(&run, &stop)),
+        Process::Objects(args) => join(args, Role::Objects).and_then(|(run, stop)| objects::run(&run, &stop)),
     }
 }
 

@@ -9,7 +9,8 @@ use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
 use msg::{
-    Clock, GroundTruth, Monotonic, Odometry, Pose2, RobotId, Role, Scan, Stamp, Transforms, VelocityCommand,
+    Clock, GroundTruth, Monotonic, MovingObjects, Odometry, Pose2, RobotId, Role, Scan, Stamp, Transforms,
+    VelocityCommand,
 };
 use sim::Simulator;
 use std::time::Duration;
@@ -46,6 +47,8 @@ struct Inputs<P: Ports> {
     commands: P::Reader<VelocityCommand>,
     command_listener: P::Listener,
     peers: Vec<(RobotId, P::Reader<GroundTruth>)>,
+    /// People, doors and boxes, if any move in the room.
+    objects: Option<P::Reader<MovingObjects>>,
     /// Age above which a command is out of date.
     command_age_max: Duration,
     /// Until when the newest command is valid.
@@ -99,6 +102,7 @@ impl<P: Ports> ProcessLoop for SimulatorProcess<P> {
         heartbeat.record_lateness(due);
         heartbeat.measure(|| {
             inputs.update_peers(simulator);
+            inputs.update_objects(simulator);
             outputs.tick(simulator);
         });
         heartbeat.publish_if_due(|| HealthCounters {
@@ -123,11 +127,13 @@ impl<P: Ports> Listens<P::Listener> for SimulatorProcess<P> {
 impl<P: Ports> Inputs<P> {
     fn open(ports: &P, run: &Run, robot: RobotId) -> Result<Self, ChannelError> {
         let peers = run.robots().filter(|peer| *peer != robot);
+        let moving = run.config.sim.moving.is_any();
         let peers = peers.map(|peer| Ok((peer, ports.reader(&channel::truth(peer))?)));
         Ok(Self {
             commands: ports.reader(&channel::command(robot))?,
             command_listener: ports.listener(&channel::command(robot))?,
             peers: peers.collect::<Result<_, ChannelError>>()?,
+            objects: moving.then(|| ports.reader(&channel::moving_objects())).transpose()?,
             command_age_max: Duration::from_secs_f64(run.config.sim.limits.command_timeout_s),
             valid_until: Monotonic(0),
             outdated: 0,
@@ -156,6 +162,12 @@ impl<P: Ports> Inputs<P> {
             if let Some(truth) = truths.newest() {
                 simulator.update_peer(*peer, &truth);
             }
+        }
+    }
+
+    fn update_objects(&mut self, simulator: &mut Simulator) {
+        if let Some(objects) = self.objects.as_mut().and_then(ReadPort::newest) {
+            simulator.update_objects(&objects);
         }
     }
 }

@@ -52,6 +52,7 @@ impl ProcessTable {
             Role::Bridge => Some(2 * self.robot_count + 2),
             Role::Record => Some(2 * self.robot_count + 3),
             Role::Nav => Some(2 * self.robot_count + 4),
+            Role::Objects => Some(2 * self.robot_count + 5),
         }
     }
 

@@ -28,6 +28,7 @@ mod lockstep;
 mod malformed;
 mod map_rooms;
 mod maps;
+mod moving_objects;
 mod navigation;
 mod page;
 mod peers;

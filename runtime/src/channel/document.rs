@@ -61,6 +61,7 @@ fn process_table() -> String {
         let each = if row.per_robot { "robot" } else { "fleet" };
         let each = if row.simulated_world_only { "simulated robot" } else { each };
         let each = if row.recording_only { "recorded fleet" } else { each };
+        let each = if row.moving_objects_only { "fleet whose room has moving objects" } else { each };
         let _ = writeln!(
             text,
             "| {} | {each} | `mr-slam worker {}` | {} |",

@@ -21,7 +21,7 @@ pub struct SharedMemoryNeed {
 
 /// Computes what the channels of a fleet need. `external`: the robots are not simulated here.
 pub fn shared_memory_need(robots: usize, external: bool) -> SharedMemoryNeed {
-    let processes = processes::of_fleet(robots, external, true).count();
+    let processes = processes::of_fleet(robots, external, true, true).count();
     let mut need = SharedMemoryNeed { least: 0, most: 0 };
     for row in CHANNELS {
         let channels = match row.scope {
@@ -29,7 +29,7 @@ pub fn shared_memory_need(robots: usize, external: bool) -> SharedMemoryNeed {
             Scope::Robot => robots,
             Scope::Process => processes,
         };
-        let readers = ends(row.readers, robots);
+        let readers = reader_count(row, robots);
         let writers = row.writers.iter().filter(|end| !is_of_other_machines(end)).count();
         let writers = if row.scope == Scope::Process { 1 } else { writers };
         let message = message_bytes(row);
@@ -40,10 +40,14 @@ pub fn shared_memory_need(robots: usize, external: bool) -> SharedMemoryNeed {
     need
 }
 
-/// Number of processes at the ends of one channel.
-fn ends(ends: &[Endpoint], robots: usize) -> usize {
-    let of = |end: &Endpoint| if matches!(end, Endpoint::OfOthers(_)) { robots.saturating_sub(1) } else { 1 };
-    ends.iter().filter(|end| !is_of_other_machines(end)).map(of).sum()
+/// Number of processes that read one channel of a row.
+fn reader_count(row: &ChannelRow, robots: usize) -> usize {
+    let of = |end: &Endpoint| match end {
+        Endpoint::OfOthers(_) => robots.saturating_sub(1),
+        Endpoint::Of(program) if program.is_per_robot() && row.scope == Scope::Fleet => robots,
+        _ => 1,
+    };
+    row.readers.iter().filter(|end| !is_of_other_machines(end)).map(of).sum()
 }
 
 /// Returns whether an end exists only where robots and base are on several machines: it takes the place of another, or reads

@@ -1,8 +1,10 @@
 //! The table of channels. A new channel is one row here, one line in [`CHANNELS`], and one function that names it.
 
+mod moving_objects;
 mod navigation;
 mod operator;
 
+pub use moving_objects::moving_objects;
 pub use navigation::{
     base_velocity, exclusion_zones, exploration_state, explore, goal, hold, navigation_state,
     navigation_velocity, plan, zone_command,
@@ -24,6 +26,7 @@ const TELEMETRY: Program = Worker(Role::Telemetry);
 const BRIDGE: Program = Worker(Role::Bridge);
 const NAV: Program = Worker(Role::Nav);
 const RECORD: Program = Worker(Role::Record);
+const OBJECTS: Program = Worker(Role::Objects);
 
 /// Largest batch of messages of a map: with the pause between two batches, 26 MB a second.
 pub const MAP_MESSAGES_MAX: usize = 4;
@@ -59,7 +62,7 @@ const SIM_OR_EXTERNAL: &[Endpoint] = &[Of(SIM), External(BRIDGE)];
 const SIM_OR_EXTERNAL_OR_LINK: &[Endpoint] = &[Of(SIM), External(BRIDGE), OtherMachines(LinkTool)];
 const SLAM_OR_LINK: &[Endpoint] = &[Of(SLAM), OtherMachines(LinkTool)];
 const EVERYBODY: &[Endpoint] =
-    &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV)];
+    &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV), Of(OBJECTS)];
 
 /// Who reads a robot's pose in its map, and the map.
 const POSE_AND_MAP_READERS: &[Endpoint] = &[
@@ -123,7 +126,7 @@ static TRUTH: TypedRow<GroundTruth> = TypedRow::new(ChannelRow {
     name: "truth",
     content: "the simulated pose, 100 Hz",
     writers: &[Of(SIM)],
-    readers: &[OfOthers(SIM), Of(TELEMETRY), Of(Launcher), Of(RECORD), Of(RecordTool)],
+    readers: &[OfOthers(SIM), Of(OBJECTS), Of(TELEMETRY), Of(Launcher), Of(RECORD), Of(RecordTool)],
     depth: 4,
     readers_max: READERS_MAX + ROBOTS_MAX,
     // Readers poll once in each tick of their own.
@@ -251,13 +254,14 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
 });
 
 /// All channels of a fleet, in the order of the data flow.
-pub static CHANNELS: [&ChannelRow; 31] = [
+pub static CHANNELS: [&ChannelRow; 32] = [
     &COMMAND.row,
     &SCAN.row,
     &SCAN_DEMAND.row,
     &ODOMETRY.row,
     &TRANSFORMS.row,
     &TRUTH.row,
+    &moving_objects::MOVING_OBJECTS.row,
     &CLOCK.row,
     &POSE_ESTIMATE.row,
     &SLAM_REQUEST.row,

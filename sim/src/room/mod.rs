@@ -22,7 +22,8 @@ pub use furniture::Furniture;
 pub use generated::RoomKind;
 use glam::Vec3;
 pub use gltf_error::{AccessorError, GltfError, MeshError};
-use ground::{FLOOR_RELIEF_M, Ground};
+pub(crate) use ground::Ground;
+use ground::{FLOOR_RELIEF_M, slab};
 pub use map::MapError;
 use mesh::Mesh;
 pub use mruk::{AnchorError, MrukError};
@@ -217,6 +218,22 @@ impl Room {
     /// Returns the walls and furniture, without the floor.
     pub(crate) fn obstacles(&self) -> SharedShape {
         SharedShape(self.mesh.clone())
+    }
+
+    /// Returns the floor in cells.
+    pub(crate) fn ground(&self) -> &Ground {
+        &self.ground
+    }
+
+    /// Computes the distance from the centre of each of the ground's cells to the nearest thing that stands lower than `height_m`, metres.
+    pub(crate) fn clearance_below_m(&self, height_m: f32) -> Vec<f32> {
+        let raster = &self.ground.raster;
+        let mut obstacles = vec![false; raster.len()];
+        for triangle in self.mesh.triangles() {
+            let corners = [triangle.a, triangle.b, triangle.c];
+            raster.mark_polygon(&mut obstacles, &slab(&corners, FLOOR_RELIEF_M, height_m));
+        }
+        raster.distances_m(&obstacles)
     }
 
     fn mesh(&self) -> &TriMesh {

@@ -117,7 +117,7 @@ impl Room {
     }
 
     /// Returns the LiDAR's range from a point in a unit direction, at most `max_m`, metres.
-    fn view_m(&self, [x, y]: [f64; 2], [cos, sin]: [f64; 2], max_m: f32) -> f32 {
+    pub(crate) fn view_m(&self, [x, y]: [f64; 2], [cos, sin]: [f64; 2], max_m: f32) -> f32 {
         let origin = Vec3::new(x as f32, y as f32, burger::SCAN_HEIGHT_M as f32);
         let ray = Ray::new(origin, Vec3::new(cos as f32, sin as f32, 0.0));
         self.mesh().cast_local_ray(&ray, max_m, false).unwrap_or(max_m)

@@ -8,9 +8,9 @@ use crate::run::Run;
 use ::bridge::FleetMessage;
 use msg::{
     Clock, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GridView, GroundTruth,
-    MapTransforms, MergeEdges, Message, Monotonic, NavigationCommand, NavigationPlan, NavigationReport,
-    Odometry, OperatorEvent, PatchHeader, PoseEstimate, RobotId, Scan, SlamRequest, Transforms,
-    VelocityCommand,
+    MapTransforms, MergeEdges, Message, Monotonic, MovingObjects, NavigationCommand, NavigationPlan,
+    NavigationReport, Odometry, OperatorEvent, PatchHeader, PoseEstimate, RobotId, Scan, SlamRequest,
+    Transforms, VelocityCommand,
 };
 use reports::{FleetView, edges_json};
 use std::time::Duration;
@@ -68,6 +68,8 @@ impl<P: Ports> MapInput<P> {
 /// All channels of a fleet.
 pub struct Inputs<P: Ports> {
     robots: Vec<RobotInputs<P>>,
+    /// People, doors and boxes, if any move in the simulated room.
+    objects: Option<P::Reader<MovingObjects>>,
     clock: P::Reader<Clock>,
     stats: P::Reader<FleetStats>,
     edges: P::Reader<MergeEdges>,
@@ -98,8 +100,10 @@ impl<P: Ports> Inputs<P> {
                 map: MapInput::open(ports, &channel::map(robot), run)?,
             })
         };
+        let has_objects = !run.config.world.is_external() && run.config.sim.moving.is_any();
         Ok(Self {
             robots: run.robots().map(of_robot).collect::<Result<_, ChannelError>>()?,
+            objects: has_objects.then(|| ports.reader(&channel::moving_objects())).transpose()?,
             clock: ports.reader(&channel::clock())?,
             stats: ports.reader(&channel::stats())?,
             edges: ports.reader(&channel::merge_edges())?,
@@ -124,6 +128,9 @@ impl<P: Ports> Inputs<P> {
     }
 
     fn receive_of_fleet(&mut self, to: &mut RecordingWork, now: Monotonic) {
+        if let Some(objects) = &mut self.objects {
+            each(objects, to, Recorder::record_moving_objects);
+        }
         each(&mut self.clock, to, |to, clock| to.publish(FleetMessage::Clock(clock), sent(clock)));
         each(&mut self.operator_events, to, Recorder::record_operator_event);
         each(&mut self.edge_commands, to, Recorder::record_edge_command);

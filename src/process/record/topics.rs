@@ -48,6 +48,8 @@ enum OwnTopic {
     EdgeCommand,
     /// Emergency stop, its release, selection and takeover of robots, as JSON.
     OperatorEvent,
+    /// True poses of the people, doors and boxes that move in the simulated room, as JSON.
+    MovingObjects,
 }
 
 /// Records messages of the fleet.

@@ -1,11 +1,13 @@
-//! Commands of people and programs in a recording, each with who sent it.
+//! Commands of people and programs in a recording, each with who sent it, and other messages as JSON.
 
 use super::{OwnTopic, Recorder};
 use msg::{
-    EdgeCommand, Monotonic, NavigationCommand, OperatorEvent, RobotId, SlamRequest, SlamRequestKind,
-    VelocityCommand,
+    EdgeCommand, Monotonic, MovingObjects, NavigationCommand, OperatorEvent, RobotId, SlamRequest,
+    SlamRequestKind, VelocityCommand,
 };
-use reports::{edge_command_json, navigation_command_json, operator_event_json, slam_request_json};
+use reports::{
+    edge_command_json, moving_objects_json, navigation_command_json, operator_event_json, slam_request_json,
+};
 
 impl Recorder {
     /// Records the velocity that a robot is to drive, and before it who sent it, if that has changed.
@@ -43,6 +45,11 @@ impl Recorder {
     /// Records what an operator did.
     pub fn record_operator_event(&mut self, event: &OperatorEvent) {
         self.record_json(OwnTopic::OperatorEvent, 0, event.header.sent, &operator_event_json(event));
+    }
+
+    /// Records where people, doors and boxes truly are.
+    pub fn record_moving_objects(&mut self, objects: &MovingObjects) {
+        self.record_json(OwnTopic::MovingObjects, 0, objects.header.sent, &moving_objects_json(objects));
     }
 
     fn record_json(&mut self, topic: OwnTopic, robot: usize, sent: Monotonic, json: &serde_json::Value) {

@@ -41,7 +41,7 @@ pub struct FileTopics {
     /// Indices by row of [`OUTGOING_TOPICS`], then by robot; empty if the topic is not recorded.
     by_fleet_topic: [Vec<TopicIndex>; OUTGOING_TOPICS.len()],
     /// Indices by [`OwnTopic`], then by robot.
-    own: [Vec<TopicIndex>; 12],
+    own: [Vec<TopicIndex>; 13],
     description: BTreeMap<String, String>,
     /// The file; `None` once the recording has ended.
     writer: Option<RecordingWriter>,
@@ -99,6 +99,7 @@ impl FileTopics {
             slam_requests,
             vec![add("/merge_edge_command".into(), Text::TYPE, Durability::Volatile)],
             vec![add("/operator_event".into(), Text::TYPE, Durability::Volatile)],
+            vec![add("/moving_objects".into(), Text::TYPE, Durability::Volatile)],
         ];
         Self {
             topics,
