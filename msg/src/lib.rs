@@ -25,6 +25,7 @@
 //! assert_eq!(msg::grid::occupancy(grid.view().cell(1, 1)), msg::grid::Occupancy::Occupied);
 //! ```
 
+mod battery;
 mod bounded_text;
 mod edges;
 mod exploration;
@@ -51,6 +52,7 @@ mod submap;
 mod swept_disk;
 pub mod tiles;
 
+pub use battery::{Battery, PowerSupplyStatus};
 pub use edges::{EdgeAction, EdgeCommand, EdgeState, MERGE_EDGES_MAX, MergeEdge, MergeEdges};
 pub use exploration::{
     ExplorationAction, ExplorationCommand, ExplorationLeftover, ExplorationReport, ExplorationStatus,
@@ -133,6 +135,7 @@ macro_rules! messages {
     )*};
 }
 messages!(
+    Battery,
     Scan,
     Odometry,
     Transforms,

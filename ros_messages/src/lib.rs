@@ -5,6 +5,7 @@
 //! ones. [`names`] has the names of frames.
 
 pub mod actions;
+pub mod battery;
 pub mod cdr;
 pub mod interfaces;
 pub mod joystick;
@@ -19,6 +20,7 @@ pub mod sensor;
 pub mod spatial_pose;
 pub mod write;
 
+pub use battery::BatteryState;
 pub use cdr::{DecodeError, Dialect};
 pub use joystick::{HandInputs, Joy};
 pub use map_tiles::{MapTile, MapTiles};

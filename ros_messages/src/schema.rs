@@ -120,6 +120,14 @@ const DEFINITIONS: &[Definition] = &[
         &[HEADER, "geometry_msgs/PoseStamped"],
     ),
     definition("rosgraph_msgs/Clock", "builtin_interfaces/Time clock", &[TIME]),
+    definition(
+        "sensor_msgs/BatteryState",
+        "std_msgs/Header header\nfloat32 voltage\nfloat32 temperature\nfloat32 current\nfloat32 charge\n\
+         float32 capacity\nfloat32 design_capacity\nfloat32 percentage\nuint8 power_supply_status\n\
+         uint8 power_supply_health\nuint8 power_supply_technology\nbool present\nfloat32[] cell_voltage\n\
+         float32[] cell_temperature\nstring location\nstring serial_number",
+        &[HEADER],
+    ),
     definition("sensor_msgs/Joy", "std_msgs/Header header\nfloat32[] axes\nint32[] buttons", &[HEADER]),
     definition(
         "sensor_msgs/LaserScan",

@@ -1,7 +1,7 @@
 //! Messages encode and decode to themselves, to known bytes, and random bytes never panic.
 
 use super::*;
-use crate::cdr::Writer;
+use crate::cdr::{Reader, Writer};
 use bytemuck::Zeroable;
 use msg::{
     GridHeader, GridView, Header, MapTransforms, Pose2, RobotFrame, RobotFrameTransform, RobotId, Stamp,
@@ -99,6 +99,33 @@ proptest! {
     }
 
     #[test]
+    fn battery_states_decode_to_themselves(stamp in stamp(), frame_id in text(), v in any::<[i16; 7]>(), codes in any::<[u8; 3]>(),
+              is_present in 0_u8..2, cell_voltage in floats(), cell_temperature in floats(), location in text(), before in 0_usize..9) {
+        let [voltage_v, temperature_c, current_a, charge_ah, capacity_ah, design_capacity_ah, percentage] = v.map(f32::from);
+        let [power_supply_status, health, technology] = codes;
+        let battery = msg::Battery {
+            header: msg::Header { stamp, ..Default::default() }, voltage_v, temperature_c, current_a, charge_ah, capacity_ah,
+            design_capacity_ah, percentage, power_supply_status, health, technology, is_present,
+        };
+        let serial_number = location.clone();
+        let message = BatteryState { frame_id, battery, cell_voltage, cell_temperature, location, serial_number };
+        prop_assert_eq!(&round(&message, before), &message);
+        survives_cuts(&message);
+        // What the fleet has of it is the same, and what it writes of it is a whole message.
+        for dialect in [Dialect::Ros1, Dialect::Ros2] {
+            let mut out = Vec::new();
+            encode_as(dialect, &message, &mut out);
+            let read = |bytes: &[u8]| Reader::with(dialect, bytes).and_then(|mut from| battery::read_battery(&mut from));
+            prop_assert_eq!(read(&out).unwrap(), battery);
+            (0..out.len()).for_each(|end| drop(read(&out[..end])));
+            let mut out = Vec::new();
+            battery::write_battery(&mut Writer::with(dialect, &mut out), &battery);
+            let want = BatteryState { battery, ..BatteryState::default() };
+            prop_assert_eq!(decode_as::<BatteryState>(dialect, &out).unwrap(), want);
+        }
+    }
+
+    #[test]
     fn transforms_decode_to_themselves(transforms in prop::collection::vec(transform(), 0..5), before in 0_usize..9) {
         let message = TfMessage { transforms };
         prop_assert_eq!(&round(&message, before), &message);
@@ -136,7 +163,7 @@ proptest! {
         let _ = (decode::<LaserScan>(&bytes), decode::<TfMessage>(&bytes), decode::<OccupancyGrid>(&bytes));
         let _ = (decode::<Odometry>(&bytes), decode::<Float32MultiArray>(&bytes), decode::<Clock>(&bytes));
         let _ = (decode::<Int32>(&bytes), decode::<Bool>(&bytes), decode::<Empty>(&bytes));
-        let _ = (decode::<Joy>(&bytes), decode::<HandInputs>(&bytes));
+        let _ = (decode::<Joy>(&bytes), decode::<HandInputs>(&bytes), decode::<BatteryState>(&bytes));
         let _ = (decode_as::<LaserScan>(Dialect::Ros1, &bytes), decode_as::<TfMessage>(Dialect::Ros1, &bytes));
     }
 
@@ -161,6 +188,20 @@ fn robot(number: usize) -> RobotId {
 
 fn header(stamp: i64) -> Header {
     Header { stamp: Stamp(stamp), ..Default::default() }
+}
+
+/// A reading that is not a number is none, and no error: drivers send NaN for what they do not measure.
+#[test]
+fn a_battery_state_keeps_what_is_not_measured() {
+    let mut out = Vec::new();
+    let battery = msg::Battery { percentage: f32::NAN, voltage_v: 11.8, ..Default::default() };
+    encode(&BatteryState { battery, ..Default::default() }, &mut out);
+    let read: BatteryState = decode(&out).unwrap();
+    assert!(read.battery.percentage.is_nan() && read.battery.voltage_v == 11.8);
+    // The count of cells is checked before anything is reserved.
+    let cells = out.len() - 20;
+    out[cells..cells + 4].copy_from_slice(&u32::MAX.to_le_bytes());
+    assert!(decode::<BatteryState>(&out).unwrap_err().to_string().contains("cell_voltage needs"));
 }
 
 /// Lengths as rclpy and Fast DDS have them for the same content.
