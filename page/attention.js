@@ -1,5 +1,6 @@
 // What needs the operator's attention.
 
+import { batteryItem } from "./battery.js";
 import { numberOf, robotsOf } from "./edges.js";
 import { STALE_S } from "./state.js";
 
@@ -32,6 +33,8 @@ export function attentionOf(fleet, now, isConnected) {
     if (slam === "lost" || slam === "relocalizing") add(2, "lost", `SLAM is ${slam}`);
     if (age === null) add(3, "scan", "no scan yet");
     else if (age > STALE_S) add(3, "scan", `no scan for ${age.toFixed(0)} s`);
+    const battery = batteryItem(robot.figures.battery);
+    if (battery) add(battery.rank, battery.kind, battery.text);
     const { state, reason } = robot.navigation ?? {};
     if (state === "failed") add(3, "goal", `its goal was given up: ${reason}`);
     if (state === "blocked") add(4, "way", `its way is blocked: ${reason}`);

@@ -1,5 +1,6 @@
 // The panels beside the map: robots, fleet, attention, messages.
 
+import { describeBattery } from "./battery.js";
 import { format, percent } from "./format.js";
 import { describeNavigation } from "./goals.js";
 import { STALE_S } from "./state.js";
@@ -35,10 +36,11 @@ function create(name, className = "", text = "") {
   return made;
 }
 
-/** Rows of a robot's panel: heading, whether it is wide, and the text. @type {[string, boolean, (robot: Robot, now: number) => string][]} */
+/** Rows of a robot's panel: heading, whether it is wide, and the text; null hides the row. @type {[string, boolean, (robot: Robot, now: number) => string | null][]} */
 export const ROBOT_ROWS = [
   ["Driver", true, ({ figures }) => (figures.is_mine ? "you" : figures.driver ?? "nobody")],
   ["Goal", true, (robot) => describeNavigation(robot)],
+  ["Battery", true, ({ figures }) => describeBattery(figures.battery)],
   ["Scans", false, ({ figures }) => format(figures.scan_hz, 1, " Hz")],
   ["Lost", false, ({ figures }) => format(figures.scans_lost)],
   ["Counted", false, ({ figures }) => format(figures.counted_s, 0, " s")],
@@ -108,7 +110,12 @@ export class RobotPanels {
       setText(panel.state, text);
       panel.state.classList.toggle("good", !isStale && robot.figures.slam === "tracking");
       panel.state.classList.toggle("bad", isStale || !["tracking", undefined, null].includes(robot.figures.slam));
-      ROBOT_ROWS.forEach(([, , value], i) => setText(panel.values[i], value(robot, now)));
+      ROBOT_ROWS.forEach(([, , value], i) => {
+        const text = value(robot, now);
+        const [shown, heading] = [panel.values[i], /** @type {HTMLElement} */ (panel.values[i].previousElementSibling)];
+        shown.hidden = heading.hidden = text === null;
+        setText(shown, text ?? "");
+      });
       panel.values[0].classList.toggle("mine", robot.figures.is_mine === true);
     }
   }

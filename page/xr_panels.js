@@ -145,9 +145,17 @@ function stateOf(robot, now) {
   return [slam, slam === "tracking" ? DARK.good : DARK.warning];
 }
 
+/** Returns the rows of a robot's panel that it has: heading and text. @param {Robot} robot @param {number} now @returns {[string, string][]} */
+export function rowsOf(robot, now) {
+  return ROBOT_ROWS.flatMap(([heading, , value]) => {
+    const text = value(robot, now);
+    return text === null ? [] : /** @type {[string, string][]} */ ([[heading, text]]);
+  });
+}
+
 /** Sizes of a robot's panel, pixels. */
 const SMALL = { width: 300, height: 84 };
-const LARGE = { width: 560, height: 470 };
+const LARGE = { width: 560, height: 490 };
 /** A panel expands when the viewer is so near, metres, or looks at it for so long, seconds. */
 const NEAR_M = 0.8;
 const GAZE_S = 0.4;
@@ -187,7 +195,7 @@ export class RobotPanel extends Panel {
 
   /** @param {Robot} robot @param {boolean} isSelected @param {number} now @param {() => void} select */
   show(robot, isSelected, now, select) {
-    const rows = this.isLarge ? ROBOT_ROWS.map(([heading, , value]) => [heading, value(robot, now)]) : [];
+    const rows = this.isLarge ? rowsOf(robot, now) : [];
     const [state, colour] = stateOf(robot, now);
     this.update(JSON.stringify([state, isSelected, robot.figures.driver, rows]), (context) => {
       const { width, height } = this.canvas;
