@@ -28,6 +28,7 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("icon.svg", IMAGE),
     file!("main.js", SCRIPT),
     file!("attention.js", SCRIPT),
+    file!("battery.js", SCRIPT),
     file!("cdr.js", SCRIPT),
     file!("clock.js", SCRIPT),
     file!("controls.js", SCRIPT),

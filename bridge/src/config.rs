@@ -1,5 +1,6 @@
 //! The settings of the bridge.
 
+mod battery;
 mod dds;
 mod discovery;
 mod https;
@@ -7,6 +8,7 @@ mod limits;
 mod page;
 mod velocity;
 
+pub use battery::BatteryConfig;
 pub use dds::{DdsConfig, VelocityMessage};
 pub use discovery::{Discovery, DiscoveryError, DiscoveryVariables, OrEnvironment};
 pub use https::HttpsConfig;
@@ -85,6 +87,8 @@ pub struct BridgeConfig {
     pub limits: ClientLimits,
     /// Limits of all velocities that the bridge sends. A velocity beyond them is clamped.
     pub velocity: VelocityConfig,
+    /// When the operator is warned of a robot's battery.
+    pub battery: BatteryConfig,
     /// The operator's page, and the Foxglove protocol.
     pub page: PageConfig,
     /// The ROS 2 endpoint.
@@ -119,6 +123,7 @@ impl Default for BridgeConfig {
             service_timeout_s: 10.0,
             limits: ClientLimits::default(),
             velocity: VelocityConfig::default(),
+            battery: BatteryConfig::default(),
             page: PageConfig::default(),
             dds: DdsConfig::default(),
             odometry_sigmas: OdometrySigmas::default(),
@@ -148,6 +153,7 @@ impl BridgeConfig {
     /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.dds.validate()?;
+        self.battery.validate()?;
         self.page.validate()?;
         self.limits.validate()?;
         self.velocity.validate()?;

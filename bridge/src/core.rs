@@ -19,6 +19,7 @@ mod world;
 
 use crate::access::AccessControl;
 use crate::actions::ActionServers;
+use crate::battery::Batteries;
 use crate::command::{handshake, name};
 use crate::command_queues::CommandQueues;
 use crate::config::BridgeConfig;
@@ -53,6 +54,7 @@ pub struct FleetServices {
 }
 
 /// The parts of the bridge.
+// More than 12 fields: each is a part with a module of its own.
 pub struct Core {
     /// The bridge's settings.
     pub config: BridgeConfig,
@@ -76,6 +78,8 @@ pub struct Core {
     pub world: Option<WorldInput>,
     /// The newest figures of telemetry, for the operator's page.
     pub stats: NewestStats,
+    /// The newest states of the robots' batteries.
+    pub batteries: Batteries,
     /// The clients that are being dropped.
     admission: AdmissionState,
 }
@@ -103,6 +107,7 @@ impl Core {
             config,
             world,
             stats: NewestStats::default(),
+            batteries: Batteries::new(robots.count()),
             admission: AdmissionState::default(),
         };
         core.send_velocities();
@@ -168,6 +173,7 @@ impl Core {
             self.stats.set(stats);
         }
         match message {
+            FleetMessage::Battery(robot, battery) => self.batteries.set(robot, battery),
             FleetMessage::NavigationState(robot, report) => {
                 self.record_navigation(robot, report);
                 self.apply_goal_report(robot, report);
@@ -189,6 +195,7 @@ impl Core {
         if !self.access.is_replay {
             self.stats.tick(now);
         }
+        self.batteries.tick(now);
         self.gate.tick(now);
         self.send_velocities();
         self.enforce_limits(now);

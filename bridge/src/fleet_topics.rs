@@ -78,13 +78,14 @@ fn source(topic: FleetTopic, robot: RobotId, is_external: bool) -> Source {
         FleetTopic::EmergencyStop => Source::Input(InputPurpose::EmergencyStop),
         FleetTopic::Scan if is_external => Source::Input(InputPurpose::Scan(robot)),
         FleetTopic::Odometry if is_external => Source::Input(InputPurpose::Odometry(robot)),
+        FleetTopic::Battery if is_external => Source::Input(InputPurpose::Battery(robot)),
         FleetTopic::Clock if is_external => Source::Input(InputPurpose::Clock),
         _ => Source::Fleet,
     }
 }
 
 impl FleetTopics {
-    /// Adds the fleet's topics to the table. In an external world clients publish scans and the clock.
+    /// Adds the fleet's topics to the table. In an external world clients publish sensor data and the clock.
     pub fn new(table: &mut TopicTable, style: NameStyle, robots: &RobotNames, is_external: bool) -> Self {
         let (selected_velocity, velocity) = add_input_topics(table, robots);
         let ids = OUTGOING_TOPICS.each_ref().map(|row| {

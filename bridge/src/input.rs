@@ -63,6 +63,8 @@ pub enum InputPurpose {
     Scan(RobotId),
     /// A robot's wheel odometry, in an external world.
     Odometry(RobotId),
+    /// The state of a robot's battery, in an external world.
+    Battery(RobotId),
     /// The time of an external world.
     Clock,
 }

@@ -10,6 +10,7 @@
 
 mod access;
 mod actions;
+mod battery;
 mod bridge;
 pub mod command;
 mod command_queues;
@@ -36,10 +37,11 @@ mod teleop;
 mod transport;
 pub mod world;
 
+pub use battery::{BatteryLevel, BatteryStatus};
 pub use bridge::{Bridge, ClientStatus};
 pub use config::{
-    ALLOCATOR_SETTINGS, BridgeConfig, ClientLimits, ConfigError, HttpsConfig, LimitsOfRobot, PageConfig,
-    Permission, VelocityConfig,
+    ALLOCATOR_SETTINGS, BatteryConfig, BridgeConfig, ClientLimits, ConfigError, HttpsConfig, LimitsOfRobot,
+    PageConfig, Permission, VelocityConfig,
 };
 pub use core::{ClientSelector, ConnectError, SelectorError};
 pub use drive::velocity_gate;

@@ -5,12 +5,14 @@
 //!   Odometry   ─▶ checked ──────────────────────────────▶ robotK/odometry, robotK/transforms
 //!   TFMessage  ─▶ the fleet's frames ─▶ robotK/transforms; odom -> base ─▶ robotK/odometry
 //!   TFMessage  ─▶ where the LiDARs are mounted, which each scan carries: one upside down is mirrored ([`MountError`])
+//!   BatteryState ▶ once a second ───────────────────────▶ robotK/battery
 //!   Clock      ─────────────────────────────────────────▶ clock
 //!                 every stamp: the source's clock -> the run's ([`SourceClock`])
 //! ```
 //! There is one [`ExternalWorld`] for each bridge, and one [`SourceClock`] for each machine that sends to it. The
 //! transform `map` -> `odom` belongs to SLAM (REP-105): it is refused and left out, and the rest of its message taken.
 
+mod battery;
 mod checks;
 mod clock;
 mod error;
@@ -38,7 +40,8 @@ use checks::{check_scan, check_transform, empty_scan, planar_pose};
 use frozen::RepeatedScan;
 use mount::Mounts;
 use msg::{
-    Clock, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp, Transforms,
+    Battery, Clock, Odometry, Pose2, ROBOTS_MAX, RobotFrame, RobotFrameTransform, RobotId, Scan, Stamp,
+    Transforms,
 };
 use notices::Notices;
 use publishers::RobotPublishers;
@@ -64,6 +67,8 @@ pub enum WorldMessage<'a> {
     OdometryRestart(RobotId),
     /// The robot's own frames, for the channel `robotK/transforms`.
     Transforms(RobotId, &'a Transforms),
+    /// The state of a robot's battery, for the channel `robotK/battery`.
+    Battery(RobotId, &'a Battery),
     /// The run's time, for the channel `clock`.
     Clock(&'a Clock),
 }
@@ -94,6 +99,8 @@ struct RobotState {
     last_pose: Option<SentPose>,
     /// When TF had odom -> base last, by the run's time.
     last_transform: Option<Stamp>,
+    /// When the state of its battery was passed on last, by the run's time.
+    battery_sent: Option<Stamp>,
     /// Whether odom -> base_footprint was received: base_link, which moves the same, is then not needed.
     has_footprint: bool,
     publishers: RobotPublishers,
@@ -115,6 +122,8 @@ pub enum Incoming<'a> {
     StaticTransforms(Option<RobotId>, Reader<'a>),
     /// nav_msgs/Odometry of a robot, whatever its frames are called.
     Odometry(RobotId, Reader<'a>),
+    /// sensor_msgs/BatteryState of a robot.
+    Battery(RobotId, Reader<'a>),
     /// rosgraph_msgs/Clock of the whole world.
     Clock(Reader<'a>),
 }
@@ -198,6 +207,7 @@ impl ExternalWorld {
             }
             Incoming::StaticTransforms(of, from) => self.receive_static_transforms(source, of, &from),
             Incoming::Odometry(robot, from) => self.receive_odometry(&mut origin, robot, from),
+            Incoming::Battery(robot, from) => self.receive_battery(&origin, robot, from),
             Incoming::Clock(from) => self.receive_clock(&mut origin, from),
         }
     }

@@ -11,7 +11,7 @@ use crate::table::Kind;
 use crate::wire::{BaseState, Chunk, INTERRUPTIONS_UNKNOWN, Message, RobotState, WireError, address};
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
-    IndexRect, Monotonic, PauseReason, PoseEstimate, Submap, SubmapPoses, TileMap, Transforms,
+    Battery, IndexRect, Monotonic, PauseReason, PoseEstimate, Submap, SubmapPoses, TileMap, Transforms,
     VelocityCommand,
 };
 use std::collections::BTreeMap;
@@ -31,6 +31,8 @@ pub enum BaseEvent {
     PoseEstimate(PoseEstimate),
     /// Frames of the robot.
     Transforms(Box<Transforms>),
+    /// State of the robot's battery, without a stamp.
+    Battery(Battery),
     /// Scan with few beams.
     Scan(Box<DecimatedScan>),
     /// The map has changed: see [`BaseEnd::map`].
@@ -225,6 +227,7 @@ impl BaseEnd {
             }
             Message::PoseEstimate(pose_estimate) => events.push(BaseEvent::PoseEstimate(pose_estimate)),
             Message::Transforms(transforms) => events.push(BaseEvent::Transforms(transforms)),
+            Message::Battery(battery) => events.push(BaseEvent::Battery(battery)),
             Message::Scan(scan) => events.push(BaseEvent::Scan(scan)),
             Message::Chunk(chunk) => events.extend(self.receive_chunk(&chunk)),
             _ => {}

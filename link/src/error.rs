@@ -3,7 +3,7 @@
 use crate::table::Kind;
 
 /// Version of the format. Machines with different versions do not talk.
-pub const VERSION: u8 = 5;
+pub const VERSION: u8 = 6;
 
 /// Reason why bytes are not a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

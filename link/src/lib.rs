@@ -10,6 +10,7 @@
 //! an outage costs what has changed meanwhile, and a new base gets the whole map in the same way.
 
 mod base;
+mod battery;
 pub mod content;
 mod counters;
 mod error;
@@ -18,6 +19,7 @@ mod obedience;
 pub mod part;
 mod peer;
 mod reader;
+mod receipts;
 mod receiver;
 mod robot;
 pub mod scan;

@@ -1,5 +1,6 @@
 //! The link's end on a robot's machine: its map, poses and state go to the base, velocities and the stop come back.
 
+use crate::battery::WaitingBattery;
 use crate::counters::ByteCounters;
 use crate::leadership::{Leadership, Verdict};
 use crate::obedience::Obedience;
@@ -12,7 +13,7 @@ use crate::stop::{StopFollower, StopRequest};
 use crate::table::Kind;
 use crate::wire::{BaseState, Message, RobotState, WireError, address};
 use msg::{
-    Header, MapHeader, Monotonic, PoseEstimate, Scan, Submap, SubmapPoses, TileMap, Transforms,
+    Battery, Header, MapHeader, Monotonic, PoseEstimate, Scan, Submap, SubmapPoses, TileMap, Transforms,
     VelocityCommand,
 };
 use std::collections::BTreeSet;
@@ -55,6 +56,7 @@ pub struct LocalControl {
 struct Newest {
     pose_estimate: Option<PoseEstimate>,
     transforms: Option<Transforms>,
+    battery: WaitingBattery,
 }
 
 /// Map as SLAM has published it.
@@ -213,6 +215,11 @@ impl RobotEnd {
         self.newest.transforms = Some(*transforms);
     }
 
+    /// Keeps the newest state of the robot's battery until it is sent.
+    pub fn put_battery(&mut self, battery: &Battery, now: Monotonic) {
+        self.newest.battery.put(battery, now);
+    }
+
     /// Returns whether somebody at the base looks at scans, so that [`Self::put_scan`] has a use.
     pub fn is_scan_wanted(&self, now: Monotonic) -> bool {
         self.scans.is_asked() && self.leadership.is_heard(now)
@@ -287,6 +294,9 @@ impl RobotEnd {
             if let Some(pose_estimate) = self.newest.pose_estimate.take() {
                 self.peer.send(Message::PoseEstimate(pose_estimate), now, send);
             }
+        }
+        if let Some(battery) = self.newest.battery.take(now) {
+            self.peer.send(Message::Battery(battery), now, send);
         }
         if let Some(scan) = scan {
             self.peer.send(Message::Scan(scan), now, send);

@@ -70,6 +70,8 @@ pub enum Kind {
     Chunk = 4,
     /// Scan with few beams, from channel `scan`, while the base asks for it.
     Scan = 5,
+    /// State of the robot's battery, from channel `battery`.
+    Battery = 6,
     /// Sign of life of the base, and whether its emergency stop is set.
     BaseState = 16,
     /// Velocity that the base has let pass.
@@ -96,12 +98,13 @@ pub struct Row {
 }
 
 /// All that crosses between machines. Ground truth, and whatever else is not here, stays on its machine.
-pub static TABLE: [Row; 9] = [
+pub static TABLE: [Row; 10] = [
     row(Kind::BaseState, Direction::Down, Priority::Command, Waiting::NewestWins, "base state"),
     row(Kind::Velocity, Direction::Down, Priority::Command, Waiting::NewestWins, "velocity"),
     row(Kind::RobotState, Direction::Up, Priority::Command, Waiting::NewestWins, "robot state"),
     row(Kind::PoseEstimate, Direction::Up, Priority::Pose, Waiting::NewestWins, "pose_estimate"),
     row(Kind::Transforms, Direction::Up, Priority::Pose, Waiting::NewestWins, "transforms"),
+    row(Kind::Battery, Direction::Up, Priority::Pose, Waiting::NewestWins, "battery"),
     row(Kind::Chunk, Direction::Up, Priority::Map, Waiting::Acknowledged, "map"),
     row(Kind::Held, Direction::Down, Priority::Map, Waiting::Acknowledged, "held parts"),
     row(Kind::Acknowledgement, Direction::Down, Priority::Map, Waiting::Acknowledged, "acknowledgement"),
@@ -132,10 +135,11 @@ impl Kind {
             Self::RobotState => 2,
             Self::PoseEstimate => 3,
             Self::Transforms => 4,
-            Self::Chunk => 5,
-            Self::Held => 6,
-            Self::Acknowledgement => 7,
-            Self::Scan => 8,
+            Self::Battery => 5,
+            Self::Chunk => 6,
+            Self::Held => 7,
+            Self::Acknowledgement => 8,
+            Self::Scan => 9,
         };
         &TABLE[index]
     }

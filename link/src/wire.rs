@@ -2,14 +2,16 @@
 //!
 //! Reading checks every length and count, and returns an error for bytes that are no message.
 
+use crate::battery::{read_battery, write_battery};
 pub use crate::error::{VERSION, WireError};
 use crate::part::{KEY_BYTES, PartKey};
 use crate::reader::Reader;
+use crate::receipts::{read_receipts, write_receipts};
 use crate::scan::{DecimatedScan, ScanRate};
 pub use crate::size::{HEAD_BYTES, MESSAGE_MAX};
 use crate::table::Kind;
 use msg::{
-    Header, Monotonic, Pose2, PoseEstimate, RobotFrameTransform, Stamp, TRANSFORMS_MAX, Transforms,
+    Battery, Header, Monotonic, Pose2, PoseEstimate, RobotFrameTransform, Stamp, TRANSFORMS_MAX, Transforms,
     VelocityCommand,
 };
 
@@ -18,7 +20,7 @@ const CHUNK_HEAD: usize = KEY_BYTES + 16;
 /// Largest piece of a part in one message, bytes.
 pub const CHUNK_BYTES_MAX: usize = MESSAGE_MAX - HEAD_BYTES - CHUNK_HEAD;
 /// Number of bytes of one entry in a list of parts.
-const RECEIPT_BYTES: usize = KEY_BYTES + 12;
+pub(crate) const RECEIPT_BYTES: usize = KEY_BYTES + 12;
 /// Largest number of parts in one message.
 pub const RECEIPTS_MAX: usize = (MESSAGE_MAX - HEAD_BYTES - 8) / RECEIPT_BYTES;
 /// Largest number of pages of a list of parts.
@@ -48,6 +50,8 @@ pub enum Message {
     PoseEstimate(PoseEstimate),
     /// Frames of the robot. Of its header only the stamp is sent.
     Transforms(Box<Transforms>),
+    /// State of the robot's battery. Of its header nothing is sent.
+    Battery(Battery),
     /// Piece of a part of the map.
     Chunk(Chunk),
     /// Scan with few beams. Of its header only the stamp is sent.
@@ -150,6 +154,7 @@ impl Message {
             Self::RobotState(_) => Kind::RobotState,
             Self::PoseEstimate(_) => Kind::PoseEstimate,
             Self::Transforms(_) => Kind::Transforms,
+            Self::Battery(_) => Kind::Battery,
             Self::Chunk(_) => Kind::Chunk,
             Self::Scan(_) => Kind::Scan,
             Self::BaseState(_) => Kind::BaseState,
@@ -219,6 +224,7 @@ impl Message {
             Self::Velocity(command) => write_f64s(to, &[command.linear_m_s, command.angular_rad_s]),
             Self::PoseEstimate(pose_estimate) => write_pose_estimate(to, pose_estimate),
             Self::Transforms(transforms) => write_transforms(to, transforms),
+            Self::Battery(battery) => write_battery(to, battery),
             Self::Chunk(chunk) => {
                 to.extend(chunk.key.to_bytes());
                 to.extend(chunk.hash.to_le_bytes());
@@ -256,6 +262,7 @@ impl Message {
             }
             Kind::PoseEstimate => Self::PoseEstimate(read_pose_estimate(from)?.ok_or(wrong)?),
             Kind::Transforms => Self::Transforms(Box::new(read_transforms(from)?.ok_or(wrong)?)),
+            Kind::Battery => Self::Battery(read_battery(from)?),
             Kind::Chunk => Self::Chunk(read_chunk(from)?.ok_or(wrong)?),
             Kind::Held => {
                 let (page, pages, list) = (from.u16()?, from.u16()?, from.u32()?);
@@ -372,23 +379,6 @@ fn read_chunk(from: &mut Reader<'_>) -> Result<Option<Chunk>, WireError> {
         && (offset as usize).checked_add(bytes.len()).is_some_and(|end| end <= total as usize)
         && (bytes.is_empty() == (total == 0));
     Ok(fits.then(|| Chunk { key, hash, total, offset, bytes: bytes.to_vec() }))
-}
-
-fn write_receipts(to: &mut Vec<u8>, parts: &[Receipt]) {
-    for part in parts {
-        to.extend(part.key.to_bytes());
-        to.extend(part.hash.to_le_bytes());
-        to.extend(part.received.to_le_bytes());
-    }
-}
-
-fn read_receipts(from: &mut Reader<'_>) -> Result<Option<Vec<Receipt>>, WireError> {
-    let mut parts = Vec::with_capacity(from.bytes.len() / RECEIPT_BYTES);
-    while !from.bytes.is_empty() {
-        let Some(key) = PartKey::from_bytes(from.array()?) else { return Ok(None) };
-        parts.push(Receipt { key, hash: from.u64()?, received: from.u32()? });
-    }
-    Ok(Some(parts))
 }
 
 fn header(stamp_ns: i64) -> Header {

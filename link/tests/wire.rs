@@ -9,8 +9,8 @@ use link::wire::{
 };
 use link::{DecimatedScan, Envelope, Message, PartContent, PartKey, PartReceiver, ScanRate, WireError};
 use msg::{
-    Header, Monotonic, Pose2, PoseEstimate, RobotFrameTransform, Stamp, Submap, SubmapEdge, SubmapPoses,
-    TRANSFORMS_MAX, Transforms, VelocityCommand,
+    Battery, Header, Monotonic, Pose2, PoseEstimate, RobotFrameTransform, Stamp, Submap, SubmapEdge,
+    SubmapPoses, TRANSFORMS_MAX, Transforms, VelocityCommand,
 };
 use proptest::prelude::*;
 
@@ -81,6 +81,14 @@ fn messages() -> Vec<Message> {
             reserved: 0,
             transforms,
         })),
+        Message::Battery(Battery {
+            voltage_v: 11.8,
+            current_a: -0.9,
+            percentage: 0.42,
+            power_supply_status: 2,
+            is_present: 1,
+            ..Battery::default()
+        }),
         Message::Chunk(chunk(CHUNK_BYTES_MAX)),
         Message::Held(HeldPage { page: 1, pages: 2, list: 6, parts: vec![receipt; RECEIPTS_MAX] }),
         Message::Acknowledgement(vec![receipt; RECEIPTS_MAX]),

@@ -1,6 +1,6 @@
 //! State of the bridge as the person at the laptop reads it: clients, permissions, emergency stop.
 
-use bridge::{ClientStatus, RoomOffer};
+use bridge::{BatteryStatus, ClientStatus, RoomOffer};
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
 
@@ -25,11 +25,33 @@ pub struct BridgeState {
     pub clients: Vec<ClientStatus>,
     /// Room that a headset offers as the simulators' world, until the operator answers.
     pub room_offer: Option<RoomOffer>,
+    /// What is known of each robot's battery, robot1's first; `None`: the robot has sent nothing.
+    pub batteries: Vec<Option<BatteryStatus>>,
 }
 
 impl BridgeState {
-    /// Returns who drives, waits and may drive, the selected robot and the emergency stop: not the counters, which change all the time.
+    /// Returns who drives, waits and may drive, the selected robot and the emergency stop, with the batteries: not the counters, which
+    /// change all the time.
     pub fn operator_json(&self) -> serde_json::Value {
+        let mut json = self.operators_json();
+        json["batteries"] = self.batteries_json();
+        json
+    }
+
+    /// Returns the batteries of the robots that have sent their state, without its age.
+    pub fn batteries_json(&self) -> serde_json::Value {
+        let state = |(robot, battery): (usize, &Option<BatteryStatus>)| {
+            battery.map(|BatteryStatus { charge, voltage_v, is_charging, .. }| {
+                serde_json::json!({
+                    "robot": robot, "charge": charge, "voltage_v": voltage_v, "is_charging": is_charging,
+                })
+            })
+        };
+        (1..).zip(&self.batteries).filter_map(state).collect()
+    }
+
+    /// Returns the same as [`Self::operator_json`] without the batteries, whose figures change all the time.
+    pub fn operators_json(&self) -> serde_json::Value {
         let driving = self.clients.iter().flat_map(|client| {
             let drives = client.drives.iter();
             drives.map(|robot| serde_json::json!({ "robot": robot, "address": client.address }))

@@ -1,6 +1,7 @@
 //! Figures of a fleet as people and programs read them: tables and JSON.
 
 mod alarms;
+mod battery;
 mod edges;
 mod layout;
 mod slam;
@@ -11,6 +12,7 @@ pub use layout::{Emphasis, Style};
 pub use slam::{ClosureView, SlamView};
 
 use crate::BridgeState;
+use ::bridge::BatteryStatus;
 use msg::{
     Distribution, FleetStats, MAP_OLD_AFTER_S, Pose2, ProcessStats, RobotId, RobotStats, Role, TrackingState,
 };
@@ -106,6 +108,8 @@ pub struct RobotView {
     pub merged: bool,
     /// Age of its part of the merged map, seconds: time since merging last heard of its SLAM; `None`: never.
     pub map_age_s: Option<f64>,
+    /// State of its battery; `None`: it has sent nothing, or the bridge was not asked.
+    pub battery: Option<BatteryStatus>,
     /// Where merging puts its map, against the truth as seen from the first merged robot: metres.
     pub map_transform_error_m: Option<f64>,
     /// The same, degrees.
@@ -322,6 +326,7 @@ impl RobotView {
             closures: stats.closures,
             merged: stats.is_merged == 1,
             map_age_s: finite(stats.map_age_s),
+            battery: None,
             map_transform_error_m: finite(stats.map_transform_error_m),
             map_transform_error_deg: finite(stats.map_transform_error_rad.to_degrees()),
         }

@@ -215,5 +215,5 @@ fn newest_figures(run: &Run) -> Result<FleetView, StatusError> {
         Ok(state) => (Some(state), None),
         Err(why) => (None, Some(why.to_string())),
     };
-    Ok(FleetView { bridge, bridge_silence, ..view.with_edges(observer.merge_edges()) })
+    Ok(FleetView { bridge_silence, ..view.with_edges(observer.merge_edges()).with_bridge(bridge) })
 }

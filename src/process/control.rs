@@ -158,6 +158,7 @@ impl<W: FileWorker> Control<W> {
             denied: self.bridge.denied_addresses(),
             clients: self.bridge.clients(now),
             room_offer: self.bridge.room_offer(),
+            batteries: self.bridge.batteries(now),
         }
     }
 }

@@ -4,12 +4,13 @@ use crate::channel;
 use crate::ports::{ChannelError, Ports, WritePort};
 use crate::run::Run;
 use ::bridge::world::{ExternalWorld, WorldMessage};
-use msg::{Odometry, RobotId, Scan, Transforms};
+use msg::{Battery, Odometry, RobotId, Scan, Transforms};
 
 struct RobotWriters<P: Ports> {
     scan: P::Writer<Scan>,
     odometry: P::Writer<Odometry>,
     transforms: P::Writer<Transforms>,
+    battery: P::Writer<Battery>,
 }
 
 impl<P: Ports> RobotWriters<P> {
@@ -18,6 +19,7 @@ impl<P: Ports> RobotWriters<P> {
             scan: ports.writer(&channel::scan(robot))?,
             odometry: ports.writer(&channel::odometry(robot))?,
             transforms: ports.writer(&channel::transforms(robot))?,
+            battery: ports.writer(&channel::battery(robot))?,
         })
     }
 }
@@ -32,6 +34,7 @@ pub fn open_world<P: Ports + 'static>(ports: &P, run: &Run) -> Result<ExternalWo
         WorldMessage::OdometryRestart(robot) => robots[robot.index()].odometry.begin_anew(),
         WorldMessage::Odometry(robot, odometry) => robots[robot.index()].odometry.send(odometry),
         WorldMessage::Transforms(robot, transforms) => robots[robot.index()].transforms.send(transforms),
+        WorldMessage::Battery(robot, battery) => robots[robot.index()].battery.send(battery),
         WorldMessage::Clock(message) => clock.send(message),
     }))
 }

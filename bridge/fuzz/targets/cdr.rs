@@ -4,7 +4,7 @@
 
 use bridge::cdr::{Dialect, Reader};
 use bridge::ros::{
-    Bool, Clock, Empty, Float32MultiArray, HandInputs, Int32, Joy, LaserScan, Message, OccupancyGrid,
+    BatteryState, Bool, Clock, Empty, Float32MultiArray, HandInputs, Int32, Joy, LaserScan, Message, OccupancyGrid,
     Odometry, PoseWithCovarianceStamped, Text, TfMessage, TransformStamped, Twist, TwistStamped, decode_as,
     encode_as,
 };
@@ -29,7 +29,8 @@ fn read<M: Message>(dialect: Dialect, payload: &[u8]) {
     }
 }
 
-const READERS: [fn(Dialect, &[u8]); 17] = [
+const READERS: [fn(Dialect, &[u8]); 18] = [
+    read::<BatteryState>,
     read::<Bool>,
     read::<Clock>,
     read::<Empty>,
@@ -76,7 +77,7 @@ fn receive(dialect: Dialect, payload: &[u8]) {
             assert!(transforms.transforms().iter().all(|l| all_finite(&l.translation_m) && all_finite(&l.rotation_xyzw)));
         }
         WorldMessage::Scan(_, scan) => assert!(scan.ranges_m().len() >= 2 && scan.angle_increment_rad.is_finite()),
-        WorldMessage::Clock(_) | WorldMessage::OdometryRestart(_) => {}
+        WorldMessage::Battery(..) | WorldMessage::Clock(_) | WorldMessage::OdometryRestart(_) => {}
     });
     let mut clock = SourceClock::new(ClockOffset::Measured);
     let Ok(from) = Reader::with(dialect, payload) else { return };
@@ -84,6 +85,7 @@ fn receive(dialect: Dialect, payload: &[u8]) {
         Incoming::Scan(robot, from.clone()),
         Incoming::Transforms(from.clone()),
         Incoming::Odometry(robot, from.clone()),
+        Incoming::Battery(robot, from.clone()),
         Incoming::Clock(from),
     ];
     for (message, received_ns) in all.into_iter().zip(0..) {

@@ -1,6 +1,7 @@
 //! The state of the fleet as the operator's page shows it.
 
 use super::Bridge;
+use crate::battery::{BatteryLevel, BatteryStatus};
 use crate::core::Core;
 use crate::drive::DriveClient;
 use crate::drive::velocity_gate::RobotLimits;
@@ -98,6 +99,32 @@ pub(crate) struct RobotStatus {
     /// Whether that part is old: nothing comes from its SLAM.
     #[serde(skip_serializing_if = "Option::is_none")]
     is_map_old: Option<bool>,
+    /// State of its battery, if it has sent one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    battery: Option<KnownBattery>,
+}
+
+/// A battery's state without what is not known of it: see [`BatteryStatus`].
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct KnownBattery {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    charge: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    voltage_v: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    is_charging: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    level: Option<BatteryLevel>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    last_charge: Option<f64>,
+    age_s: f64,
+}
+
+impl From<BatteryStatus> for KnownBattery {
+    fn from(status: BatteryStatus) -> Self {
+        let BatteryStatus { charge, voltage_v, is_charging, level, last_charge, age_s } = status;
+        Self { charge, voltage_v, is_charging, level, last_charge, age_s }
+    }
 }
 
 impl Bridge {
@@ -123,6 +150,13 @@ impl Bridge {
             room_offer: core.access.room_offer(),
             is_replay: core.access.is_replay,
         }
+    }
+
+    /// Returns what is known of each robot's battery, robot1's first; `None`: it has sent nothing.
+    pub fn batteries(&self, now: Monotonic) -> Vec<Option<BatteryStatus>> {
+        let core = self.core.borrow();
+        let status = |robot| core.batteries.status(robot, &core.config.battery, now);
+        core.fleet.robots().map(status).collect()
     }
 
     /// Lets the operator's page say that a recording is shown, and offer nothing that moves robots.
@@ -157,6 +191,7 @@ fn robot_status(core: &Core, robot: RobotId, viewer: ClientId, now: Monotonic) -
         is_merged: stats.map(|stats| stats.is_merged == 1),
         map_age_s: stats.map(|stats| stats.map_age_s).filter(|age_s| age_s.is_finite()),
         is_map_old: stats.map(|stats| stats.is_merged == 1 && stats.map_age_s > MAP_OLD_AFTER_S),
+        battery: core.batteries.status(robot, &core.config.battery, now).map(Into::into),
     }
 }
 

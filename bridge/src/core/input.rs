@@ -206,6 +206,7 @@ impl Core {
             }
             InputPurpose::Scan(_)
             | InputPurpose::Odometry(_)
+            | InputPurpose::Battery(_)
             | InputPurpose::RobotTransforms(_)
             | InputPurpose::RobotStaticTransforms(_)
             | InputPurpose::Clock => {

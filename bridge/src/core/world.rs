@@ -131,6 +131,7 @@ pub(super) fn world_message(input: InputPurpose, from: Reader<'_>) -> Option<Inc
         InputPurpose::Scan(robot) => Incoming::Scan(robot, from),
         InputPurpose::Transforms => Incoming::Transforms(from),
         InputPurpose::Odometry(robot) => Incoming::Odometry(robot, from),
+        InputPurpose::Battery(robot) => Incoming::Battery(robot, from),
         InputPurpose::RobotTransforms(robot) => Incoming::RobotTransforms(robot, from),
         InputPurpose::StaticTransforms => Incoming::StaticTransforms(None, from),
         InputPurpose::RobotStaticTransforms(robot) => Incoming::StaticTransforms(Some(robot), from),

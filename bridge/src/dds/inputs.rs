@@ -4,8 +4,8 @@ use crate::config::VelocityMessage;
 use crate::input::{ADD_ZONE, EXPLORE, InputPurpose, REMOVE_ZONE, SHARED_GOAL};
 use crate::relay::ReceivedMessage;
 use ros_messages::{
-    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PathMessage, PolygonStamped, PoseStamped,
-    PoseWithCovarianceStamped, RobotNames, Text, TfMessage, Twist, TwistStamped,
+    BatteryState, Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PathMessage, PolygonStamped,
+    PoseStamped, PoseWithCovarianceStamped, RobotNames, Text, TfMessage, Twist, TwistStamped,
 };
 
 /// A topic that the endpoint subscribes to.
@@ -35,8 +35,8 @@ impl InputTopic {
 
     /// Returns whether a lost message is soon followed by a newer one.
     pub fn is_stream(&self) -> bool {
-        use InputPurpose::{Clock, Command, Odometry, Scan, SelectedCommand};
-        matches!(self.input, SelectedCommand | Command(_) | Scan(_) | Odometry(_) | Clock)
+        use InputPurpose::{Battery, Clock, Command, Odometry, Scan, SelectedCommand};
+        matches!(self.input, SelectedCommand | Command(_) | Scan(_) | Odometry(_) | Battery(_) | Clock)
     }
 
     /// Returns whether the topic has the same name in every namespace.
@@ -132,6 +132,8 @@ fn world_topics(robots: &RobotNames) -> Vec<InputTopic> {
     for robot in robots.robots() {
         all.push(InputTopic::new::<LaserScan>(robots.topic(robot, "scan"), InputPurpose::Scan(robot)));
         all.push(InputTopic::new::<Odometry>(robots.topic(robot, "odom"), InputPurpose::Odometry(robot)));
+        let battery = robots.topic(robot, "battery_state");
+        all.push(InputTopic::new::<BatteryState>(battery, InputPurpose::Battery(robot)));
         if !robots.is_plain() {
             all.push(InputTopic::new::<TfMessage>(
                 robots.topic(robot, "tf"),

@@ -13,9 +13,10 @@ use crate::input::InputPurpose;
 use crate::repeater::{PoseEstimateRepeater, Repetition};
 use json::{exploration_json, navigation_json, zones_json};
 use msg::{
-    Clock, ExclusionZones, ExplorationReport, FleetStats, GridView, MapTransforms, Monotonic, NavigationPlan,
-    NavigationReport, Odometry, PoseEstimate, RobotFrame, RobotId, Scan, Stamp, Transforms,
+    Battery, Clock, ExclusionZones, ExplorationReport, FleetStats, GridView, MapTransforms, Monotonic,
+    NavigationPlan, NavigationReport, Odometry, PoseEstimate, RobotFrame, RobotId, Scan, Stamp, Transforms,
 };
+use ros_messages::battery::write_battery;
 use ros_messages::cdr::Writer;
 use ros_messages::map_tiles::write_map_tiles;
 use ros_messages::navigation::write_path;
@@ -36,6 +37,8 @@ pub enum FleetMessage<'a> {
     Transforms(RobotId, &'a Transforms),
     /// A robot's wheel odometry: `/robotN/odom`.
     Odometry(RobotId, &'a Odometry),
+    /// The state of a robot's battery: `/robotN/battery_state`.
+    Battery(RobotId, &'a Battery),
     /// SLAM's transform map -> odom and pose of a robot: `/tf` and `/robotN/pose`.
     PoseEstimate(RobotId, &'a PoseEstimate),
     /// The transforms from the robots' maps to the merged map: `/tf`, on change and once a second.
@@ -214,6 +217,9 @@ impl FleetPublisher {
             FleetMessage::Odometry(robot, odometry) if self.has(robot) => {
                 self.publish_odometry(robot, odometry, sink);
             }
+            FleetMessage::Battery(robot, battery) if self.has(robot) => {
+                sink.send(FleetTopic::Battery, Some(robot), |to| write_battery(to, battery));
+            }
             FleetMessage::PoseEstimate(robot, pose_estimate) if self.has(robot) => {
                 self.publish_pose_estimate(robot, pose_estimate, sink);
             }
@@ -230,6 +236,7 @@ impl FleetPublisher {
             FleetMessage::Scan(..)
             | FleetMessage::Transforms(..)
             | FleetMessage::Odometry(..)
+            | FleetMessage::Battery(..)
             | FleetMessage::PoseEstimate(..)
             | FleetMessage::Map(..)
             | FleetMessage::NavigationState(..)

@@ -2,8 +2,8 @@
 
 use crate::router::DEPTH_DEFAULT;
 use ros_messages::{
-    Bool, Clock, Float32MultiArray, Int32, LaserScan, MapTiles, Message, OccupancyGrid, OccupancyGridUpdate,
-    Odometry, PathMessage, PoseWithCovarianceStamped, RobotNames, Text, TfMessage,
+    BatteryState, Bool, Clock, Float32MultiArray, Int32, LaserScan, MapTiles, Message, OccupancyGrid,
+    OccupancyGridUpdate, Odometry, PathMessage, PoseWithCovarianceStamped, RobotNames, Text, TfMessage,
 };
 
 /// Identifies a row of [`OUTGOING_TOPICS`], in the order of the table.
@@ -13,6 +13,8 @@ pub enum FleetTopic {
     Scan,
     /// Wheel odometry of a robot.
     Odometry,
+    /// The state of a robot's battery.
+    Battery,
     /// SLAM's pose of a robot in its own map, with covariance.
     Pose,
     /// The map of a robot.
@@ -136,7 +138,7 @@ const fn row(
 ///
 /// To add one, add a row here and a [`FleetTopic`], publish it in `FleetPublisher::publish`, and send the
 /// [`crate::FleetMessage`] where its channel is read. The recorder has a table of its own.
-pub const OUTGOING_TOPICS: [OutgoingTopic; 21] = [
+pub const OUTGOING_TOPICS: [OutgoingTopic; 22] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_SCAN_DEPTH),
@@ -148,6 +150,12 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 21] = [
         dds: stream(DDS_ODOMETRY_DEPTH),
         robots_publish_it: true,
         ..row(FleetTopic::Odometry, "/robotN/odom", Odometry::TYPE, "robotN/odometry")
+    },
+    OutgoingTopic {
+        tcp: stream(1),
+        dds: stream(DDS_STATS_DEPTH),
+        robots_publish_it: true,
+        ..row(FleetTopic::Battery, "/robotN/battery_state", BatteryState::TYPE, "robotN/battery")
     },
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),

@@ -32,10 +32,12 @@ pub enum RobotTopic {
     Odometry,
     /// The transform odom -> base in tf2_msgs/TFMessage.
     OdometryTransform,
+    /// Messages of type sensor_msgs/BatteryState.
+    Battery,
 }
 
 /// Number of [`RobotTopic`]s.
-const ROBOT_TOPICS: usize = 3;
+const ROBOT_TOPICS: usize = 4;
 
 /// What becomes of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,7 +98,9 @@ impl ExternalWorld {
             Verdict::Taken => Ok(true),
             Verdict::Waiting => Ok(false),
             Verdict::Mixed => {
-                self.robots[robot.index()].drivers.forget_waiting();
+                if topic != RobotTopic::Battery {
+                    self.robots[robot.index()].drivers.forget_waiting();
+                }
                 Err(WorldError::SeveralPublishers { robot, topic })
             }
         }
@@ -110,6 +114,7 @@ impl RobotTopic {
             Self::Scan => "scans come",
             Self::Odometry => "odometry comes",
             Self::OdometryTransform => "transform odom -> base comes",
+            Self::Battery => "battery's states come",
         }
     }
 }

@@ -37,6 +37,7 @@ fn world() -> (ExternalWorld, Messages) {
                     .map(|transform| RobotFrame::from_code(transform.child_frame).unwrap().name());
                 format!("{robot} transforms {}", names.collect::<Vec<_>>().join(" "))
             }
+            WorldMessage::Battery(robot, battery) => format!("{robot} battery {}", battery.percentage),
             WorldMessage::Clock(clock) => format!("clock {}", clock.header.stamp.0),
         });
     });

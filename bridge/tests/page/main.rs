@@ -1,5 +1,6 @@
 //! The operator's page from outside: HTTP requests and WebSockets on a real port.
 
+mod battery;
 mod browser;
 mod driving;
 mod http;
@@ -10,7 +11,8 @@ mod tlx;
 mod topics;
 
 use bridge::{
-    Bridge, BridgeConfig, PageContent, PageFile, TlxAnswer, TlxError, process_clock, serve, serve_page,
+    Bridge, BridgeConfig, PageConfig, PageContent, PageFile, TlxAnswer, TlxError, process_clock, serve,
+    serve_page,
 };
 use msg::{RobotId, VelocityCommand};
 use std::cell::RefCell;
@@ -55,6 +57,8 @@ fn content() -> PageContent {
 
 /// Something to do on the bridge's thread.
 type Job = Box<dyn FnOnce(&Bridge) + Send>;
+/// Where velocities for robots go.
+type CommandSink = Box<dyn FnMut(RobotId, VelocityCommand)>;
 
 /// A bridge on a thread of its own.
 pub(crate) struct Served {
@@ -71,6 +75,15 @@ pub(crate) struct Served {
 impl Served {
     /// Starts a bridge of two robots.
     pub(crate) fn start(config: BridgeConfig) -> Self {
+        let page_config = config.page.clone();
+        Self::start_bridge(page_config, |on_command| Bridge::new(config, 2, on_command).unwrap())
+    }
+
+    /// Starts the bridge that `make` returns for the sink of its velocities.
+    pub(crate) fn start_bridge(
+        page_config: PageConfig,
+        make: impl FnOnce(CommandSink) -> Bridge + Send + 'static,
+    ) -> Self {
         let velocities = Arc::new(Mutex::new(Vec::new()));
         let (jobs, received) = mpsc::unbounded_channel();
         let (send_address, address) = std::sync::mpsc::channel();
@@ -81,8 +94,7 @@ impl Served {
         let thread = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
             LocalSet::new().block_on(&runtime, async {
-                let page_config = config.page.clone();
-                let bridge = Rc::new(Bridge::new(config, 2, on_command).unwrap());
+                let bridge = Rc::new(make(Box::new(on_command)));
                 let tcp = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
                 let page = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
                 let encrypted = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();

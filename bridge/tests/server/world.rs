@@ -23,6 +23,7 @@ fn with_world(config: BridgeConfig, test: impl AsyncFnOnce(&Served, &WorldMessag
             WorldMessage::Transforms(robot, transforms) => {
                 (format!("{robot}/transforms"), transforms.header.stamp)
             }
+            WorldMessage::Battery(robot, battery) => (format!("{robot}/battery"), battery.header.stamp),
             WorldMessage::Clock(clock) => ("clock".into(), clock.header.stamp),
         });
     });

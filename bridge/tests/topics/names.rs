@@ -31,6 +31,7 @@ fn external(robots: &[&str]) -> (Bridge, Log) {
             }
             WorldMessage::OdometryRestart(robot) => format!("{robot} odometry restart"),
             WorldMessage::Transforms(robot, transforms) => format!("{robot} links {}", transforms.len),
+            WorldMessage::Battery(robot, battery) => format!("{robot} battery {:.2}", battery.percentage),
             WorldMessage::Clock(_) => "clock".into(),
         });
     });

@@ -43,6 +43,7 @@ impl FleetView {
                 alarms.push(format!("{}: no scan has come yet: {why}", robot.robot));
             }
             alarms.extend(old_map(robot));
+            alarms.extend(robot.battery_alarm());
         }
         for edge in self.merge_edges.iter().filter(|edge| edge.contradicted) {
             alarms.push(format!(

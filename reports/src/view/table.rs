@@ -103,6 +103,9 @@ impl FleetView {
     fn figures(&self, style: &Style) -> String {
         let rows: Vec<Vec<Cell>> = self.robots.iter().map(robot_row).collect();
         let mut text = table(&ROBOT_COLUMNS, &rows, style) + &self.name_line(style);
+        if let Some(note) = self.battery_note() {
+            text += &style.wrap(&note, INDENT);
+        }
         if let Some(note) = self.counting_note() {
             text += &style.wrap(&format!("counted  {note}"), INDENT);
         }

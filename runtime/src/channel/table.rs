@@ -1,9 +1,11 @@
 //! The table of channels. A new channel is one row here, one line in [`CHANNELS`], and one function that names it.
 
+mod battery;
 mod moving_objects;
 mod navigation;
 mod operator;
 
+pub use battery::battery;
 pub use moving_objects::moving_objects;
 pub use navigation::{
     base_velocity, exclusion_zones, exploration_state, explore, goal, hold, navigation_state,
@@ -254,11 +256,12 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
 });
 
 /// All channels of a fleet, in the order of the data flow.
-pub static CHANNELS: [&ChannelRow; 32] = [
+pub static CHANNELS: [&ChannelRow; 33] = [
     &COMMAND.row,
     &SCAN.row,
     &SCAN_DEMAND.row,
     &ODOMETRY.row,
+    &battery::BATTERY.row,
     &TRANSFORMS.row,
     &TRUTH.row,
     &moving_objects::MOVING_OBJECTS.row,

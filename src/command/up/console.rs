@@ -39,7 +39,7 @@ impl<'a> OperatorConsole<'a> {
     pub fn fill(&self, fleet: FleetView) -> FleetView {
         // A fleet that starts has no bridge yet.
         let bridge_silence = self.silence.clone().filter(|_| self.newest.is_some());
-        FleetView { bridge: self.newest.clone(), bridge_silence, ..fleet }
+        FleetView { bridge_silence, ..fleet.with_bridge(self.newest.clone()) }
     }
 
     /// Keys that work now, for people.

@@ -82,6 +82,9 @@ pub fn open_feeds<P: Ports + 'static, T: Transport + 'static>(
         feeds.push(forward(ports, transport, &channel::scan(robot), move |to, scan| {
             to.publish(FleetMessage::Scan(robot, scan));
         })?);
+        feeds.push(forward(ports, transport, &channel::battery(robot), move |to, battery| {
+            to.publish(FleetMessage::Battery(robot, battery));
+        })?);
         feeds.push(forward(ports, transport, &channel::pose_estimate(robot), move |to, pose_estimate| {
             to.publish(FleetMessage::PoseEstimate(robot, pose_estimate));
         })?);

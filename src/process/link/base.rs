@@ -11,8 +11,8 @@ use ::bridge::world::{ClockOffset, SourceClock};
 use ::link::{BaseEnd, BaseEvent, DecimatedScan, Hold};
 use link_transport::Transport;
 use msg::{
-    Clock, Monotonic, PoseEstimate, RobotHold, RobotId, Scan, Stamp, Submap, SubmapPoses, SubmapRequest,
-    TileMap, Transforms, VelocityCommand,
+    Battery, Clock, Monotonic, PoseEstimate, RobotHold, RobotId, Scan, Stamp, Submap, SubmapPoses,
+    SubmapRequest, TileMap, Transforms, VelocityCommand,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -36,6 +36,7 @@ struct Channels<P: Ports> {
     pose_estimate: P::Writer<PoseEstimate>,
     transforms: P::Writer<Transforms>,
     scan: P::Writer<Scan>,
+    battery: P::Writer<Battery>,
     map: P::MapWriter,
     submap: P::Writer<Submap>,
     submap_poses: P::Writer<SubmapPoses>,
@@ -50,6 +51,7 @@ impl<P: Ports> Channels<P> {
             pose_estimate: ports.writer(&channel::pose_estimate(robot))?,
             transforms: ports.writer(&channel::transforms(robot))?,
             scan: ports.writer(&channel::scan(robot))?,
+            battery: ports.writer(&channel::battery(robot))?,
             map: ports.map_writer(&channel::map(robot))?,
             submap: ports.writer(&channel::submap(robot))?,
             submap_poses: ports.writer(&channel::submap_poses(robot))?,
@@ -264,6 +266,10 @@ impl<P: Ports> RobotMirror<P> {
                 self.channels.transforms.send(&transforms);
             }
             BaseEvent::Scan(scan) if self.clock.estimate().is_some() => self.publish_scan(&scan),
+            BaseEvent::Battery(mut battery) => {
+                battery.header.stamp = epoch.stamp(now);
+                self.channels.battery.send(&battery);
+            }
             // Before the first pose the offset of the clocks is not known.
             BaseEvent::Transforms(_) | BaseEvent::Scan(_) => {}
             BaseEvent::Map => self.unpublished.has_map_changed = true,

@@ -9,7 +9,7 @@ use crate::run::Run;
 use ::link::{RobotEnd, RobotEvent, ScanRate, SenderConfig, StopRequest};
 use link_transport::Transport;
 use msg::{
-    Header, Monotonic, PoseEstimate, RobotId, Scan, Submap, SubmapPoses, SubmapRequest, Transforms,
+    Battery, Header, Monotonic, PoseEstimate, RobotId, Scan, Submap, SubmapPoses, SubmapRequest, Transforms,
     VelocityCommand,
 };
 
@@ -20,6 +20,7 @@ struct Inputs<P: Ports> {
     pose_estimates: P::Reader<PoseEstimate>,
     transforms: P::Reader<Transforms>,
     scans: P::Reader<Scan>,
+    batteries: P::Reader<Battery>,
     map: P::MapReader,
     submaps: P::Reader<Submap>,
     submap_poses: P::Reader<SubmapPoses>,
@@ -62,6 +63,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             pose_estimates: ports.reader(&channel::pose_estimate(ROBOT))?,
             transforms: ports.reader(&channel::transforms(ROBOT))?,
             scans: ports.reader(&channel::scan(ROBOT))?,
+            batteries: ports.reader(&channel::battery(ROBOT))?,
             map: ports.map_reader(&channel::map(ROBOT))?,
             submaps: ports.reader(&channel::submap(ROBOT))?,
             submap_poses: ports.reader(&channel::submap_poses(ROBOT))?,
@@ -142,6 +144,9 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
         }
         if let Some(transforms) = inputs.transforms.newest() {
             end.put_transforms(&transforms);
+        }
+        if let Some(battery) = inputs.batteries.newest() {
+            end.put_battery(&battery, now);
         }
         let scan = inputs.scans.newest();
         if let Some(scan) = scan.filter(|_| end.is_scan_wanted(now)) {

@@ -7,8 +7,8 @@ use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort, ReceiveCounts};
 use crate::run::Run;
 use ::bridge::FleetMessage;
 use msg::{
-    Clock, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GridView, GroundTruth,
-    MapTransforms, MergeEdges, Message, Monotonic, MovingObjects, NavigationCommand, NavigationPlan,
+    Battery, Clock, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GridView,
+    GroundTruth, MapTransforms, MergeEdges, Message, Monotonic, MovingObjects, NavigationCommand, NavigationPlan,
     NavigationReport, Odometry, OperatorEvent, PatchHeader, PoseEstimate, RobotId, Scan, SlamRequest,
     Transforms, VelocityCommand,
 };
@@ -22,6 +22,7 @@ struct RobotInputs<P: Ports> {
     odometry: P::Reader<Odometry>,
     transforms: P::Reader<Transforms>,
     scans: P::Reader<Scan>,
+    batteries: P::Reader<Battery>,
     pose_estimates: P::Reader<PoseEstimate>,
     truths: P::Reader<GroundTruth>,
     goals: P::Reader<NavigationCommand>,
@@ -91,6 +92,7 @@ impl<P: Ports> Inputs<P> {
                 odometry: ports.reader(&channel::odometry(robot))?,
                 transforms: ports.reader(&channel::transforms(robot))?,
                 scans: ports.reader(&channel::scan(robot))?,
+                batteries: ports.reader(&channel::battery(robot))?,
                 pose_estimates: ports.reader(&channel::pose_estimate(robot))?,
                 truths: ports.reader(&channel::truth(robot))?,
                 goals: ports.reader(&channel::goal(robot))?,
@@ -175,12 +177,13 @@ impl<P: Ports> Inputs<P> {
 
 impl<P: Ports> RobotInputs<P> {
     /// Returns the counts of the channels of which each message is recorded: not those of maps and true poses.
-    fn receive_counts(&self) -> [ReceiveCounts; 9] {
+    fn receive_counts(&self) -> [ReceiveCounts; 10] {
         [
             self.commands.receive_counts(),
             self.odometry.receive_counts(),
             self.transforms.receive_counts(),
             self.scans.receive_counts(),
+            self.batteries.receive_counts(),
             self.pose_estimates.receive_counts(),
             self.goals.receive_counts(),
             self.slam_requests.receive_counts(),
@@ -197,6 +200,9 @@ impl<P: Ports> RobotInputs<P> {
             to.publish(FleetMessage::Transforms(robot, all), sent(all));
         });
         each(&mut self.scans, to, move |to, scan| to.publish(FleetMessage::Scan(robot, scan), sent(scan)));
+        each(&mut self.batteries, to, move |to, battery| {
+            to.publish(FleetMessage::Battery(robot, battery), sent(battery));
+        });
         each(&mut self.pose_estimates, to, move |to, pose_estimate| {
             to.publish(FleetMessage::PoseEstimate(robot, pose_estimate), sent(pose_estimate));
         });

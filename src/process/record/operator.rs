@@ -6,10 +6,12 @@ use crate::run::Run;
 use crate::stop::Stop;
 use reports::{BridgeState, TlxEntry};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Period at which the bridge is asked.
 const PERIOD: Duration = Duration::from_millis(200);
+/// Shortest time between two changes of batteries alone: their figures change all the time.
+const BATTERY_PERIOD: Duration = Duration::from_secs(10);
 /// Longest time that an answer may take.
 const PATIENCE: Duration = Duration::from_millis(500);
 /// States that may wait for the recorder.
@@ -42,8 +44,30 @@ impl OperatorWatch {
     }
 }
 
+/// What the recorder was told last.
+#[derive(Default)]
+struct ToldState {
+    /// Operators and batteries, and when; `None` before the first.
+    newest: Option<(serde_json::Value, serde_json::Value, Instant)>,
+}
+
+impl ToldState {
+    /// Returns whether a state is to be told, and records it if so.
+    fn is_news(&mut self, state: &BridgeState, now: Instant) -> bool {
+        let (operators, batteries) = (state.operators_json(), state.batteries_json());
+        let is_known = self.newest.as_ref().is_some_and(|(known, known_batteries, at)| {
+            let is_early = now.duration_since(*at) < BATTERY_PERIOD;
+            *known == operators && (is_early || *known_batteries == batteries)
+        });
+        if !is_known {
+            self.newest = Some((operators, batteries, now));
+        }
+        !is_known
+    }
+}
+
 fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<OperatorChange>) {
-    let (mut newest, mut answers): (Option<serde_json::Value>, usize) = (None, 0);
+    let (mut told, mut answers) = (ToldState::default(), 0);
     while !stop.requested() {
         // Before the bridge, whose answer may take as long as a short recording. A file that cannot be read is looked at again.
         let entries = nasa_tlx::read(&run.dir, run.begun).unwrap_or_default();
@@ -53,15 +77,44 @@ fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<OperatorChange>) {
                 return;
             }
         }
-        if let Ok(state) = control::ask(run, Request::State, PATIENCE) {
-            let json = state.operator_json();
-            if newest.as_ref() != Some(&json) {
-                newest = Some(json);
-                if to_recorder.send(OperatorChange::State(state)).is_err() {
-                    return;
-                }
-            }
+        if let Ok(state) = control::ask(run, Request::State, PATIENCE)
+            && told.is_news(&state, Instant::now())
+            && to_recorder.send(OperatorChange::State(state)).is_err()
+        {
+            return;
         }
         std::thread::sleep(PERIOD);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bridge::BatteryStatus;
+
+    #[test]
+    fn operators_are_told_at_once_and_batteries_every_ten_seconds() {
+        let begun = Instant::now();
+        let state = |stopped, charge| {
+            let battery = BatteryStatus {
+                charge: Some(charge),
+                voltage_v: None,
+                is_charging: None,
+                level: None,
+                last_charge: Some(charge),
+                age_s: 0.0,
+            };
+            BridgeState { stopped, batteries: vec![None, Some(battery)], ..BridgeState::default() }
+        };
+        let mut told = ToldState::default();
+        let mut is_news = |state: &BridgeState, at_s| told.is_news(state, begun + Duration::from_secs(at_s));
+        assert!(is_news(&state(false, 0.5), 0));
+        assert!(!is_news(&state(false, 0.4), 9));
+        assert!(is_news(&state(false, 0.3), 10));
+        assert!(is_news(&state(true, 0.3), 11));
+        assert!(!is_news(&state(true, 0.3), 60), "nothing has changed");
+        let json = state(true, 0.3).operator_json();
+        assert_eq!(json["batteries"][0]["robot"], 2, "{json}");
+        assert_eq!((&json["batteries"][0]["charge"], &json["emergency_stop"]), (&0.3.into(), &true.into()));
     }
 }
