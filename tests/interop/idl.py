@@ -80,6 +80,26 @@ class LaserScan(IdlStruct, typename="sensor_msgs::msg::dds_::LaserScan_"):
 
 
 @dataclass
+class BatteryState(IdlStruct, typename="sensor_msgs::msg::dds_::BatteryState_"):
+    header: Header
+    voltage: float32
+    temperature: float32
+    current: float32
+    charge: float32
+    capacity: float32
+    design_capacity: float32
+    percentage: float32
+    power_supply_status: uint8
+    power_supply_health: uint8
+    power_supply_technology: uint8
+    present: bool
+    cell_voltage: sequence[float32]
+    cell_temperature: sequence[float32]
+    location: str
+    serial_number: str
+
+
+@dataclass
 class MapMetaData(IdlStruct, typename="nav_msgs::msg::dds_::MapMetaData_"):
     map_load_time: Time
     resolution: float32

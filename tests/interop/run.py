@@ -90,9 +90,9 @@ def main(out):
         rows += peer("services_cyclone.py", domain, port)
         rows += peer("actions.py", domain, port)
     port = free_port()
-    with fleet(out, domain, port, "--robots", "2", "--world", "ros"):
-        rows += peer("world_rclpy.py", domain, port)
-        rows += peer("world_cyclone.py", domain)
+    with fleet(out, domain, port, "--robots", "2", "--world", "ros") as run_dir:
+        rows += peer("world_rclpy.py", domain, port, run_dir, BINARY)
+        rows += peer("world_cyclone.py", domain, run_dir, BINARY)
     with fleet(out, domain, free_port(), "--robots", "1", "--world", "ros") as run_dir:
         rows += peer("driver_cyclone.py", domain, run_dir, BINARY)
     rows += peer("maps_rclpy.py", domain, ENDPOINT, BINARY)

@@ -1,11 +1,12 @@
-"""Robot 2 of a fleet whose world is ROS, by CycloneDDS: `world_cyclone.py`
+"""Robot 2 of a fleet whose world is ROS, by CycloneDDS: `world_cyclone.py RUN_DIR BINARY`
 
 It stands in a square room and turns slowly; it publishes scans, best effort, and where it is as transforms on /tf, as
-robots do that have no odometry topic.
+robots do that have no odometry topic. It publishes the state of its battery in percent, as a TurtleBot3 does.
 """
 
 import math
 import os
+import sys
 import time
 
 from cyclonedds.domain import DomainParticipant
@@ -13,9 +14,9 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from idl import (BEST_EFFORT, LATCHED, RELIABLE, Header, LaserScan, OccupancyGrid, Quaternion, TFMessage, Time,
+from idl import (BEST_EFFORT, LATCHED, RELIABLE, BatteryState, Header, LaserScan, OccupancyGrid, Quaternion, TFMessage, Time,
                  TransformStamped, Twist, Vector3)
-from report import row
+from report import battery, row
 
 BEAMS, HALF_M, TURN_RAD_S = 180, 1.5, 0.2
 
@@ -30,6 +31,7 @@ def main():
     topic = lambda name, kind: Topic(participant, "rt" + name, kind)
     scans = DataWriter(participant, topic("/robot2/scan", LaserScan), qos=BEST_EFFORT)
     transforms = DataWriter(participant, topic("/tf", TFMessage), qos=RELIABLE)
+    batteries = DataWriter(participant, topic("/robot2/battery_state", BatteryState), qos=RELIABLE)
     driver = DataWriter(participant, topic("/cmd_vel_2", Twist), qos=RELIABLE)
     maps = DataReader(participant, topic("/robot2/map", OccupancyGrid), qos=LATCHED)
     commands = DataReader(participant, topic("/robot2/cmd_vel", Twist), qos=RELIABLE)
@@ -48,6 +50,8 @@ def main():
             ranges = [distance(yaw - math.pi + i * 2 * math.pi / BEAMS) for i in range(BEAMS)]
             scans.write(LaserScan(Header(Time(sec, nanosec), "base_scan_2"), -math.pi, math.pi, 2 * math.pi / BEAMS,
                                   0.0, 0.1, 0.12, 3.5, ranges, []))
+        batteries.write(BatteryState(Header(Time(sec, nanosec), ""), 10.64, 0.0, 0.0, 0.0, 0.0, 1.8, 8.0, 0, 0, 0, True, [], [],
+                                     "", ""))
         driver.write(Twist(Vector3(0.0, 0.0, 0.0), Vector3(0.0, 0.0, 0.4)))
         for sample in maps.take(N=10):
             grid = sample if isinstance(sample, OccupancyGrid) else grid
@@ -62,6 +66,9 @@ def main():
         7 <= known <= 12)
     row("world = ros: a command reaches Cyclone's robot", "0.4 rad/s", turns[-3:],
         turns and all(abs(turn - 0.4) < 1e-6 for turn in turns[-3:]))
+    known = battery(sys.argv[2], sys.argv[1], 1)
+    row("world = ros: the state of Cyclone's battery, in percent", "0.08, critical", known,
+        known and (known["charge"], known["level"], known["is_charging"]) == (0.08, "critical", None))
     row("world = ros: SLAM says map_2 -> odom_2", "it does", ("map_2", "odom_2", True) in told,
         ("map_2", "odom_2", True) in told)
 

@@ -1,19 +1,20 @@
-"""A robot of ROS's own in front of a fleet whose world is ROS: `world_rclpy.py`
+"""A robot of ROS's own in front of a fleet whose world is ROS: `world_rclpy.py PORT RUN_DIR BINARY`
 
-It stands in a square room, turns slowly, publishes scans and odometry with frames that bear no number, and hears
-its commands.
+It stands in a square room, turns slowly, publishes scans and odometry with frames that bear no number, the state of its
+battery as a share, and hears its commands.
 """
 
 import math
+import sys
 import time
 
 import rclpy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-from sensor_msgs.msg import LaserScan
+from sensor_msgs.msg import BatteryState, LaserScan
 
-from report import row
+from report import battery, row
 
 BEAMS, HALF_M, TURN_RAD_S = 180, 2.0, 0.2
 
@@ -28,6 +29,7 @@ def main():
     node = rclpy.create_node("robot1")
     scans = node.create_publisher(LaserScan, "/robot1/scan", qos_profile_sensor_data)
     odometry = node.create_publisher(Odometry, "/robot1/odom", 10)
+    batteries = node.create_publisher(BatteryState, "/robot1/battery_state", 10)
     maps, poses, heard = [], [], []
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     node.create_subscription(OccupancyGrid, "/robot1/map", maps.append, latched)
@@ -50,6 +52,7 @@ def main():
             scans.publish(scan)
             # What is wild must change nothing.
             scans.publish(LaserScan(angle_increment=math.nan, ranges=[math.inf, -1.0]))
+        batteries.publish(BatteryState(percentage=0.42, voltage=11.26, present=True, power_supply_status=2))
         message = Twist()
         message.angular.z = 0.3
         driver.publish(message)
@@ -64,6 +67,9 @@ def main():
     row("world = ros: stamps are real time", "< 15 s old", f"{age:.0f} s", age < 15)
     turn = [m.angular.z for m in heard[-5:]]
     row("world = ros: a command reaches the robot", "0.3 rad/s", turn, turn and all(abs(t - 0.3) < 1e-6 for t in turn))
+    known = battery(sys.argv[3], sys.argv[2], 0)
+    row("world = ros: the state of a battery, as a share", "0.42, 11.26 V, not charging", known,
+        known and (known["charge"], known["voltage_v"], known["is_charging"]) == (0.42, 11.26, False))
     publishers = {i.node_name for i in node.get_publishers_info_by_topic("/robot1/scan")}
     row("world = ros: the fleet does not publish the robot's own topics", "{'robot1'}", publishers,
         publishers == {"robot1"})
