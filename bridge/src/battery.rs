@@ -15,16 +15,16 @@ pub const STALE: Duration = Duration::from_secs(30);
 const FRACTION_MAX: f32 = 1.2;
 /// Largest number that a driver sends that counts in percent.
 const PERCENT_MAX: f32 = 125.0;
-/// Largest voltage that is believed, V: more is another unit.
+/// Largest voltage that is shown, V: more is another unit.
 const VOLTAGE_MAX_V: f32 = 1000.0;
 
 /// How urgent the charge of a battery is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BatteryLevel {
-    /// Below [`BatteryConfig::low`].
+    /// The charge is below [`BatteryConfig::low`].
     Low,
-    /// Below [`BatteryConfig::critical`].
+    /// The charge is below [`BatteryConfig::critical`].
     Critical,
 }
 
@@ -34,7 +34,7 @@ pub enum BatteryLevel {
 pub struct BatteryStatus {
     /// Charge over capacity, 0 to 1.
     pub charge: Option<f64>,
-    /// Voltage, V.
+    /// Voltage at its terminals, V.
     pub voltage_v: Option<f64>,
     /// Whether it is being charged.
     pub is_charging: Option<bool>,
@@ -128,7 +128,7 @@ impl Record {
     }
 }
 
-/// Returns the charge over the capacity, 0 to 1. `None`: it is not measured, no battery is there, or the number means nothing.
+/// Returns the charge over the capacity, 0 to 1. `None`: it is not measured, no battery is there, or the number is no charge.
 fn charge(battery: &Battery, is_percent: bool) -> Option<f64> {
     // A driver that leaves both fields unset says nothing; one that leaves `present` alone unset does.
     if battery.percentage == 0.0 && battery.is_present == 0 {

@@ -1,9 +1,25 @@
 //! Lists of parts in a message, with how much of each has arrived.
 
 use crate::error::WireError;
-use crate::part::PartKey;
+use crate::part::{KEY_BYTES, PartKey};
 use crate::reader::Reader;
-use crate::wire::{RECEIPT_BYTES, Receipt};
+
+/// Number of bytes of one entry in a list of parts.
+pub const RECEIPT_BYTES: usize = KEY_BYTES + 12;
+
+/// How much of a part has arrived.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Receipt {
+    /// Key of the part.
+    pub key: PartKey,
+    /// Hash of its uncompressed content.
+    pub hash: u64,
+    /// Number of bytes of the compressed part that have arrived; [`COMPLETE`]: all.
+    pub received: u32,
+}
+
+/// Value of [`Receipt::received`] of a part that has arrived as a whole.
+pub const COMPLETE: u32 = u32::MAX;
 
 pub fn write_receipts(to: &mut Vec<u8>, parts: &[Receipt]) {
     for part in parts {

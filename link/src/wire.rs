@@ -6,7 +6,8 @@ use crate::battery::{read_battery, write_battery};
 pub use crate::error::{VERSION, WireError};
 use crate::part::{KEY_BYTES, PartKey};
 use crate::reader::Reader;
-use crate::receipts::{read_receipts, write_receipts};
+pub use crate::receipts::{COMPLETE, Receipt};
+use crate::receipts::{RECEIPT_BYTES, read_receipts, write_receipts};
 use crate::scan::{DecimatedScan, ScanRate};
 pub use crate::size::{HEAD_BYTES, MESSAGE_MAX};
 use crate::table::Kind;
@@ -19,8 +20,6 @@ use msg::{
 const CHUNK_HEAD: usize = KEY_BYTES + 16;
 /// Largest piece of a part in one message, bytes.
 pub const CHUNK_BYTES_MAX: usize = MESSAGE_MAX - HEAD_BYTES - CHUNK_HEAD;
-/// Number of bytes of one entry in a list of parts.
-pub(crate) const RECEIPT_BYTES: usize = KEY_BYTES + 12;
 /// Largest number of parts in one message.
 pub const RECEIPTS_MAX: usize = (MESSAGE_MAX - HEAD_BYTES - 8) / RECEIPT_BYTES;
 /// Largest number of pages of a list of parts.
@@ -119,20 +118,6 @@ pub struct Chunk {
     /// The compressed part's bytes from there on.
     pub bytes: Vec<u8>,
 }
-
-/// How much of a part has arrived.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Receipt {
-    /// Key of the part.
-    pub key: PartKey,
-    /// Hash of its uncompressed content.
-    pub hash: u64,
-    /// Number of bytes of the compressed part that have arrived; [`COMPLETE`]: all.
-    pub received: u32,
-}
-
-/// Value of [`Receipt::received`] of a part that has arrived as a whole.
-pub const COMPLETE: u32 = u32::MAX;
 
 /// One page of the list of parts that the base holds.
 #[derive(Clone, Debug, PartialEq, Eq)]

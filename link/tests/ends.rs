@@ -6,7 +6,7 @@ use link::{
 };
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
-    Battery, IndexRect, MapHeader, Monotonic, Pose2, PoseEstimate, Scan, Stamp, Submap, SubmapPoses, TileMap,
+    IndexRect, MapHeader, Monotonic, Pose2, PoseEstimate, Scan, Stamp, Submap, SubmapPoses, TileMap,
     Transforms, VelocityCommand,
 };
 
@@ -40,8 +40,6 @@ struct Machines {
     submaps: Vec<u32>,
     /// Numbers of beams of the scans.
     scans: Vec<usize>,
-    /// Charges of the batteries.
-    batteries: Vec<f32>,
 }
 
 impl Machines {
@@ -58,7 +56,6 @@ impl Machines {
             pose_estimates: Vec::new(),
             submaps: Vec::new(),
             scans: Vec::new(),
-            batteries: Vec::new(),
         }
     }
 
@@ -98,7 +95,6 @@ impl Machines {
                 match event {
                     BaseEvent::PoseEstimate(pose_estimate) => self.pose_estimates.push(pose_estimate),
                     BaseEvent::Submap(id) => self.submaps.push(id),
-                    BaseEvent::Battery(battery) => self.batteries.push(battery.percentage),
                     BaseEvent::Scan(scan) => self.scans.push(scan.ranges_m.len()),
                     _ => {}
                 }
@@ -183,25 +179,6 @@ fn an_outage_costs_only_what_has_changed() {
     assert!(machines.maps_are_equal(), "caught up within 5 s");
     // Poses, frames and signs of life take 5 s * 5 Hz * 300 bytes of them.
     assert!(machines.up_bytes < 10_000, "{} bytes in the 5 s after the outage", machines.up_bytes);
-}
-
-#[test]
-fn the_newest_state_of_a_battery_crosses_and_none_that_is_old() {
-    let mut machines = Machines::new();
-    let battery = |percentage| Battery { percentage, ..Battery::default() };
-    machines.run(1_000);
-    let now = machines.robot_now();
-    [0.9, 0.8].into_iter().for_each(|percentage| machines.robot.put_battery(&battery(percentage), now));
-    machines.run(1_000);
-    assert_eq!(machines.batteries, [0.8], "once, and the newest");
-    machines.is_cut = true;
-    machines.run(SILENCE_MAX.as_millis() as u64 + 1_000);
-    let now = machines.robot_now();
-    machines.robot.put_battery(&battery(0.7), now);
-    machines.run(6_000);
-    machines.is_cut = false;
-    machines.run(2_000);
-    assert_eq!(machines.batteries, [0.8], "what it was before the outage's end is not what it is");
 }
 
 #[test]

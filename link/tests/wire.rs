@@ -14,6 +14,17 @@ use msg::{
 };
 use proptest::prelude::*;
 
+fn battery() -> Battery {
+    Battery {
+        voltage_v: 11.8,
+        current_a: -0.9,
+        percentage: 0.42,
+        power_supply_status: 2,
+        is_present: 1,
+        ..Battery::default()
+    }
+}
+
 fn envelope(message: Message) -> Envelope {
     Envelope { session: 3, to: 8, sent: Monotonic(5), answers: Monotonic(4), message }
 }
@@ -81,14 +92,7 @@ fn messages() -> Vec<Message> {
             reserved: 0,
             transforms,
         })),
-        Message::Battery(Battery {
-            voltage_v: 11.8,
-            current_a: -0.9,
-            percentage: 0.42,
-            power_supply_status: 2,
-            is_present: 1,
-            ..Battery::default()
-        }),
+        Message::Battery(battery()),
         Message::Chunk(chunk(CHUNK_BYTES_MAX)),
         Message::Held(HeldPage { page: 1, pages: 2, list: 6, parts: vec![receipt; RECEIPTS_MAX] }),
         Message::Acknowledgement(vec![receipt; RECEIPTS_MAX]),

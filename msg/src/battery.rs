@@ -23,7 +23,7 @@ pub enum PowerSupplyStatus {
 pub struct Battery {
     /// Header whose `stamp` is the time at which the message arrived, on the run's clock.
     pub header: Header,
-    /// Voltage, V.
+    /// Voltage at its terminals, V.
     pub voltage_v: f32,
     /// Temperature, degrees Celsius.
     pub temperature_c: f32,

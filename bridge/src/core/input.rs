@@ -209,10 +209,8 @@ impl Core {
             | InputPurpose::Battery(_)
             | InputPurpose::RobotTransforms(_)
             | InputPurpose::RobotStaticTransforms(_)
-            | InputPurpose::Clock => {
-                let message = world_message(input, self.reader(payload)?);
-                message.map_or(Ok(()), |message| self.receive_world(id.into(), message, now))
-            }
+            | InputPurpose::Clock => world_message(input, self.reader(payload)?)
+                .map_or(Ok(()), |message| self.receive_world(id.into(), message, now)),
             InputPurpose::InitialPose(robot) => Ok(self.request_initial_pose(robot, &self.decode(payload)?)?),
             InputPurpose::SelectRobot => {
                 let robot = self.robot_numbered(self.decode::<Int32>(payload)?)?;

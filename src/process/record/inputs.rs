@@ -16,6 +16,7 @@ use reports::{FleetView, edges_json};
 use std::time::Duration;
 
 /// Channels of one robot.
+// More than 12 fields: one for each channel.
 struct RobotInputs<P: Ports> {
     robot: RobotId,
     commands: P::Reader<VelocityCommand>,
