@@ -29,7 +29,7 @@ pub enum BatteryLevel {
 }
 
 /// State of a robot's battery. What is not known is `None`, and so is all but the age and `last_charge` of a state older than
-/// [`STALE`].
+/// 30 s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BatteryStatus {
     /// Charge over capacity, 0 to 1.

@@ -8,9 +8,9 @@ use crate::run::Run;
 use ::bridge::FleetMessage;
 use msg::{
     Battery, Clock, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GridView,
-    GroundTruth, MapTransforms, MergeEdges, Message, Monotonic, MovingObjects, NavigationCommand, NavigationPlan,
-    NavigationReport, Odometry, OperatorEvent, PatchHeader, PoseEstimate, RobotId, Scan, SlamRequest,
-    Transforms, VelocityCommand,
+    GroundTruth, MapTransforms, MergeEdges, Message, Monotonic, MovingObjects, NavigationCommand,
+    NavigationPlan, NavigationReport, Odometry, OperatorEvent, PatchHeader, PoseEstimate, RobotId, Scan,
+    SlamRequest, Transforms, VelocityCommand,
 };
 use reports::{FleetView, edges_json};
 use std::time::Duration;
