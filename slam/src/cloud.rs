@@ -197,6 +197,30 @@ impl Cloud {
         around.iter().all(|b| f32::from(self.seen_cm[b % BEARINGS]) > reach_cm)
     }
 
+    /// Tells how the points of another cloud, placed at `self_from_other`, lie to what this scan saw in their directions. Each of the
+    /// beams within a degree of a point counts, where [`Cloud::sees_through`] needs one in each of three degrees.
+    pub fn compare_ranges(&self, other: &Cloud, self_from_other: Pose2) -> RangeComparison {
+        let transform = PointTransform::new(self_from_other);
+        let mut found = RangeComparison { points: other.points.len(), ..RangeComparison::default() };
+        for p in &other.points {
+            let at = transform.point(p.at);
+            if self.has_surface(at, transform.direction(p.normal)) {
+                found.on_surface += 1;
+                continue;
+            }
+            let (x, y) = (at[0] - self.sensor[0], at[1] - self.sensor[1]);
+            let range_cm = (x * x + y * y).sqrt() * 100.0;
+            let bin = bearing(x, y);
+            let around = [bin + BEARINGS - 1, bin, bin + 1].map(|b| self.seen_cm[b % BEARINGS]);
+            let seen_cm = || around.iter().filter(|cm| **cm > 0).map(|cm| f32::from(*cm));
+            let is_seen = seen_cm().next().is_some();
+            let margin_cm = 100.0 * SEE_THROUGH_M;
+            found.before += usize::from(is_seen && seen_cm().all(|cm| cm > range_cm + margin_cm));
+            found.behind += usize::from(is_seen && seen_cm().all(|cm| cm < range_cm - margin_cm));
+        }
+        found
+    }
+
     /// Compares another cloud, placed at `self_from_other`, with this one: how many of its points lie on a
     /// surface of this scan, and at how many this scan saw something more than `see_through_m` behind them.
     pub fn compare(&self, other: &Cloud, self_from_other: Pose2, see_through_m: f32) -> Agreement {
@@ -212,6 +236,19 @@ impl Cloud {
         }
         agreement
     }
+}
+
+/// How the points of a scan lie to what another one saw in their directions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RangeComparison {
+    /// All points.
+    pub points: usize,
+    /// Points on a surface of the other scan.
+    pub on_surface: usize,
+    /// Points clearly before all that the other scan saw near their direction.
+    pub before: usize,
+    /// Points clearly behind it.
+    pub behind: usize,
 }
 
 /// How many points of two scans agree with each other, and how many contradict.

@@ -80,6 +80,50 @@ fn a_robot_that_stood_while_nothing_was_recorded_goes_on_although_somebody_stand
     }
 }
 
+/// A beam each 3 degrees, between which nothing tells whether a scan saw through a place.
+const SPARSE: Lidar = Lidar { beams: 120, ..FULL };
+
+/// The legs of a person who stands at this distance and angle from a pose.
+fn person(at: Pose2, distance_m: f64, angle_rad: f64) -> Vec<Wall> {
+    let [x, y] = at.apply([distance_m * angle_rad.cos(), distance_m * angle_rad.sin()]);
+    rectangle(x - 0.15, y - 0.15, x + 0.15, y + 0.15)
+}
+
+#[test]
+fn a_robot_carried_within_its_room_as_it_stood_is_lost_at_once() {
+    // One carried by 1.2 m, with its heading, may see the walls that it saw before.
+    let mut at_once = 0;
+    for k in 0..24 {
+        let angle_rad = f64::from(k) * core::f64::consts::TAU / 24.0;
+        let mut drive = Drive::new(two_rooms(), SPARSE, START);
+        drive.drive(&[(0.15, 0.1, 6.0)]);
+        let stood = drive.robot.world_from_base;
+        let [x_m, y_m] = [stood.x_m + 1.2 * angle_rad.cos(), stood.y_m + 1.2 * angle_rad.sin()];
+        drive.carry_to(Pose2::new(x_m, y_m, stood.yaw_rad));
+        drive.drive(&[(0.0, 0.0, 0.1)]);
+        at_once += u64::from(drive.slam.counts().odometry_breaks == 1);
+    }
+    assert!(at_once >= 3, "{at_once} of 24");
+}
+
+#[test]
+fn a_robot_that_stood_goes_on_although_somebody_went_and_somebody_else_came() {
+    for (k, lidar) in [FULL, HALF, NARROW, SPARSE].into_iter().cycle().take(32).enumerate() {
+        let angle_rad = f64::from(k as u32 / 4) * core::f64::consts::TAU / 8.0;
+        let mut drive = Drive::new(laboratory(), lidar, START);
+        let room = drive.walls.clone();
+        drive.drive(&[(0.15, 0.1, 5.0)]);
+        let stands = drive.robot.world_from_base;
+        drive.walls.extend(person(stands, 0.9, angle_rad));
+        drive.drive(&[(0.0, 0.0, 1.0)]);
+        drive.walls = room;
+        drive.walls.extend(person(stands, 0.9, angle_rad + 0.7));
+        drive.carry_to(drive.robot.world_from_base);
+        drive.drive(&[(0.0, 0.0, 0.5)]);
+        assert_eq!(drive.slam.counts().odometry_breaks, 0, "case {k}");
+    }
+}
+
 #[test]
 fn a_robot_kidnapped_in_a_fixed_map_is_found_in_it() {
     let mut drive = Drive::new(laboratory(), FULL, START);
