@@ -145,7 +145,7 @@ type MessageSink = Box<dyn FnMut(WorldMessage<'_>)>;
 /// It has no socket and no clock.
 pub struct ExternalWorld {
     names: RobotNames,
-    robots: [RobotState; ROBOTS_MAX],
+    robots: Box<[RobotState; ROBOTS_MAX]>,
     /// The scan that is being decoded.
     scan: Box<Scan>,
     /// The transforms of each robot in the message that is being decoded.
@@ -170,7 +170,7 @@ impl ExternalWorld {
         Self {
             mounts: Mounts::new(names.count()),
             names,
-            robots: [RobotState::default(); ROBOTS_MAX],
+            robots: Box::new([RobotState::default(); ROBOTS_MAX]),
             scan: empty_scan(),
             transforms: Box::new([Transforms::default(); ROBOTS_MAX]),
             clock: Stamp(i64::MIN),
