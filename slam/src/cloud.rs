@@ -241,7 +241,7 @@ impl Cloud {
 /// How the points of a scan lie to what another one saw in their directions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RangeComparison {
-    /// All points.
+    /// Number of all points of the scan.
     pub points: usize,
     /// Points on a surface of the other scan.
     pub on_surface: usize,

@@ -4,6 +4,7 @@ mod battery;
 mod moving_objects;
 mod navigation;
 mod operator;
+mod scan_demand;
 
 pub use battery::battery;
 pub use moving_objects::moving_objects;
@@ -11,14 +12,15 @@ pub use navigation::{
     base_velocity, exclusion_zones, exploration_state, explore, goal, hold, navigation_state,
     navigation_velocity, plan, zone_command,
 };
+pub use scan_demand::scan_demand;
 
 use super::Endpoint::{External, Of, OfFirst, OfOthers, OtherMachines};
 use super::Program::{EdgesTool, Launcher, LinkTool, RecordTool, SlamTool, Worker};
 use super::{Channel, ChannelRow, Endpoint, Program, Scope, TypedRow};
 use msg::{
     Clock, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Odometry, OperatorEvent,
-    PatchHeader, PoseEstimate, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, ScanDemand, SlamRequest,
-    SlamResponse, Submap, SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
+    PatchHeader, PoseEstimate, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, SlamRequest, SlamResponse,
+    Submap, SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
 };
 
 const SIM: Program = Worker(Role::Sim);
@@ -95,18 +97,6 @@ static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
     ..STREAM
 });
 // Several writers: each repeats its demand, so that a lost message costs nothing.
-static SCAN_DEMAND: TypedRow<ScanDemand> = TypedRow::new(ChannelRow {
-    name: "scan_demand",
-    content: "at the base: whose scans somebody looks at, records or drives by, 2 Hz meanwhile",
-    scope: Scope::Fleet,
-    writers: &[OtherMachines(BRIDGE), OtherMachines(NAV), OtherMachines(RECORD), OtherMachines(RecordTool)],
-    readers: &[OtherMachines(LinkTool)],
-    depth: 16,
-    writers_max: REQUEST_WRITERS_MAX,
-    // The link polls fifty times a second.
-    wakes: false,
-    ..STREAM
-});
 static ODOMETRY: TypedRow<Odometry> = TypedRow::new(ChannelRow {
     name: "odometry",
     content: "wheel odometry, 20 Hz, before the scan of the same stamp",
@@ -259,7 +249,7 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
 pub static CHANNELS: [&ChannelRow; 33] = [
     &COMMAND.row,
     &SCAN.row,
-    &SCAN_DEMAND.row,
+    &scan_demand::SCAN_DEMAND.row,
     &ODOMETRY.row,
     &battery::BATTERY.row,
     &TRANSFORMS.row,
@@ -300,11 +290,6 @@ pub fn command(robot: RobotId) -> Channel<VelocityCommand> {
 /// `robotK/scan`: one scan of the robot's LiDAR.
 pub fn scan(robot: RobotId) -> Channel<Scan> {
     SCAN.of_robot(robot)
-}
-
-/// `scan_demand`: robots on other machines whose scans are wanted at the base.
-pub fn scan_demand() -> Channel<ScanDemand> {
-    SCAN_DEMAND.of_fleet()
 }
 
 /// `robotK/odometry`: wheel odometry, before the scan of the same stamp.
