@@ -170,7 +170,7 @@ test("sockets that break again and again are opened within a second, and nothing
   const { proxy, page } = await openBehind(t, {});
   const times = [];
   await page.keyboard.press("Digit2");
-  for (let round = 0; round < 4; round += 1) {
+  for (let round = 0; round < 7; round += 1) {
     await page.evaluate(() => {
       globalThis.backAfter = undefined;
       const [link, brokenAt] = [document.querySelector("#link"), performance.now()];
