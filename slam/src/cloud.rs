@@ -190,11 +190,18 @@ impl Cloud {
 
     /// Whether this scan saw something clearly (by `margin_m`) behind `at`: nothing can stand there.
     pub fn sees_through(&self, at: [f32; 2], margin_m: f32) -> bool {
+        let (range_m, seen_cm) = self.seen_near(at);
+        let reach_cm = (range_m + margin_m) * 100.0;
+        seen_cm.iter().all(|cm| f32::from(*cm) > reach_cm)
+    }
+
+    /// The distance from the sensor to `at`, metres, and the nearest returns in the degree of its direction and the two beside it,
+    /// centimetres; 0: no beam.
+    fn seen_near(&self, at: [f32; 2]) -> (f32, [u16; 3]) {
         let (x, y) = (at[0] - self.sensor[0], at[1] - self.sensor[1]);
-        let reach_cm = ((x * x + y * y).sqrt() + margin_m) * 100.0;
         let bearing_bin = bearing(x, y);
         let around = [bearing_bin + BEARINGS - 1, bearing_bin, bearing_bin + 1];
-        around.iter().all(|b| f32::from(self.seen_cm[b % BEARINGS]) > reach_cm)
+        ((x * x + y * y).sqrt(), around.map(|b| self.seen_cm[b % BEARINGS]))
     }
 
     /// Tells how the points of another cloud, placed at `self_from_other`, lie to what this scan saw in their directions. Each of the
@@ -208,10 +215,8 @@ impl Cloud {
                 found.on_surface += 1;
                 continue;
             }
-            let (x, y) = (at[0] - self.sensor[0], at[1] - self.sensor[1]);
-            let range_cm = (x * x + y * y).sqrt() * 100.0;
-            let bin = bearing(x, y);
-            let around = [bin + BEARINGS - 1, bin, bin + 1].map(|b| self.seen_cm[b % BEARINGS]);
+            let (range_m, around) = self.seen_near(at);
+            let range_cm = range_m * 100.0;
             let seen_cm = || around.iter().filter(|cm| **cm > 0).map(|cm| f32::from(*cm));
             let is_seen = seen_cm().next().is_some();
             let margin_cm = 100.0 * SEE_THROUGH_M;

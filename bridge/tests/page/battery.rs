@@ -32,8 +32,8 @@ fn start() -> (Served, Passed) {
     (served, passed)
 }
 
-/// Lets a client on TCP send a state, and brings what the world passes on back, as the channel does.
-fn send(served: &Served, passed: &Passed, battery: Battery, now: Monotonic) {
+/// Frames of a client on TCP that registers the topic and publishes this payload.
+fn frames(write_payload: impl FnOnce(&mut Vec<u8>)) -> Parser {
     let mut bytes = Vec::new();
     let registration = Registration {
         topic: TOPIC.into(),
@@ -41,17 +41,28 @@ fn send(served: &Served, passed: &Passed, battery: Battery, now: Monotonic) {
         ..Registration::default()
     };
     Side::Client.write_command(&mut bytes, name::PUBLISH, &registration);
+    Side::Client.write_with(&mut bytes, TOPIC, write_payload);
+    let mut parser = Parser::new(1 << 20);
+    parser.push(&bytes);
+    parser
+}
+
+/// Lets a client that comes and leaves send these frames.
+fn receive_frames(bridge: &Bridge, mut parser: Parser, now: Monotonic) {
+    let client = bridge.connect(([127, 0, 0, 1], 5000).into()).unwrap();
+    while let Some(RosTcpFrame { name, payload }) = parser.next_frame().unwrap() {
+        bridge.receive(client, RosTcpFrame { name, payload }, now);
+    }
+    bridge.disconnect(client);
+}
+
+/// Lets a client on TCP send a state, and brings what the world passes on back, as the channel does.
+fn send(served: &Served, passed: &Passed, battery: Battery, now: Monotonic) {
     let message = BatteryState { battery, cell_voltage: vec![3.9; 3], ..BatteryState::default() };
-    Side::Client.write_with(&mut bytes, TOPIC, |out| encode(&message, out));
+    let parser = frames(|out| encode(&message, out));
     let passed = passed.clone();
     served.with(move |bridge| {
-        let client = bridge.connect(([127, 0, 0, 1], 5000).into()).unwrap();
-        let mut parser = Parser::new(1 << 20);
-        parser.push(&bytes);
-        while let Some(RosTcpFrame { name, payload }) = parser.next_frame().unwrap() {
-            bridge.receive(client, RosTcpFrame { name, payload }, now);
-        }
-        bridge.disconnect(client);
+        receive_frames(bridge, parser, now);
         for (robot, battery) in passed.lock().unwrap().drain(..) {
             bridge.publish(FleetMessage::Battery(robot, &battery));
         }
@@ -114,21 +125,9 @@ fn a_state_that_nobody_measured_is_not_shown_and_one_that_is_none_is_refused() {
     send(&served, &passed, unknown, process_clock());
     let known = wait_for_battery(&mut browser, 2, |battery| !battery.is_null());
     assert_eq!(known.as_object().unwrap().keys().collect::<Vec<_>>(), ["age_s"]);
+    let cut = frames(|out| out.extend_from_slice(&[0, 1, 0, 0, 7]));
     let refused = served.with(|bridge| {
-        let client = bridge.connect(([127, 0, 0, 1], 5000).into()).unwrap();
-        let mut bytes = Vec::new();
-        let registration = Registration {
-            topic: TOPIC.into(),
-            message_name: BatteryState::TYPE.into(),
-            ..Registration::default()
-        };
-        Side::Client.write_command(&mut bytes, name::PUBLISH, &registration);
-        Side::Client.write_with(&mut bytes, TOPIC, |out| out.extend_from_slice(&[0, 1, 0, 0, 7]));
-        let mut parser = Parser::new(1 << 20);
-        parser.push(&bytes);
-        while let Some(frame) = parser.next_frame().unwrap() {
-            bridge.receive(client, frame, process_clock());
-        }
+        receive_frames(bridge, cut, process_clock());
         bridge.counters().refused
     });
     assert_eq!(refused, 1);

@@ -93,9 +93,7 @@ impl Outline {
 
     /// Returns where a line enters the rectangle, in lengths of `direction`; `from` is seen from the centre.
     fn enter_rectangle(&self, from: [f64; 2], direction: [f64; 2]) -> Option<f64> {
-        let [cos, sin] = self.axis;
-        let turned = |[x, y]: [f64; 2]| [cos * x + sin * y, cos * y - sin * x];
-        let (from, direction) = (turned(from), turned(direction));
+        let (from, direction) = (self.turned_in(from), self.turned_in(direction));
         let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
         for axis in 0..2 {
             if direction[axis] == 0.0 {
@@ -111,7 +109,11 @@ impl Outline {
     }
 
     fn in_axes(&self, point_m: [f64; 2]) -> [f64; 2] {
-        let [x, y] = [0, 1].map(|axis| point_m[axis] - self.centre_m[axis]);
+        self.turned_in([0, 1].map(|axis| point_m[axis] - self.centre_m[axis]))
+    }
+
+    /// Turns a vector of `world` into the axes of the outline.
+    fn turned_in(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [cos, sin] = self.axis;
         [cos * x + sin * y, cos * y - sin * x]
     }

@@ -78,11 +78,11 @@ impl FrontEnd {
             return false;
         };
         let reference_from_now = reference.local_from_base.between(last.local_from_base * moved);
-        let both = [
-            reference.cloud.compare_ranges(cloud, reference_from_now),
-            cloud.compare_ranges(&reference.cloud, reference_from_now.inverse()),
-        ];
-        is_within(reference_from_now, MOVED_MAX_M, TURNED_MAX_RAD) && show_two_places(both)
+        is_within(reference_from_now, MOVED_MAX_M, TURNED_MAX_RAD)
+            && show_two_places([
+                reference.cloud.compare_ranges(cloud, reference_from_now),
+                cloud.compare_ranges(&reference.cloud, reference_from_now.inverse()),
+            ])
     }
 
     /// Marks the robot as lost, with an odometry break before the next node.
@@ -99,6 +99,7 @@ impl FrontEnd {
     }
 }
 
+/// Whether a motion is shorter than this, and turns by less.
 fn is_within(motion: Pose2, distance_m: f64, turn_rad: f64) -> bool {
     motion.x_m.hypot(motion.y_m) < distance_m && motion.yaw_rad.abs() < turn_rad
 }
