@@ -1,6 +1,6 @@
-//! Keeps `docs/GLOSSARY.md` true: its names exist, and its retired words are gone from the code.
+//! Keeps `docs/GLOSSARY.md` true: its names exist, and its retired words are gone from code and documents.
 
-use crate::sources::{all_files, crates, product_files, read};
+use crate::sources::{all_files, crates, markdown_files, product_files, read};
 use std::collections::BTreeSet;
 
 /// Declarations that make a name exist.
@@ -82,16 +82,19 @@ fn retired_phrases_are_gone() {
         .into_iter()
         .map(|row| (Phrase::parse(&row[0].to_lowercase()), row[0].clone(), row[1].clone()))
         .collect();
+    let code = crates().into_iter().flat_map(|(_, folder)| product_files(&folder));
+    let code = code.map(|source| (passages(&source.text), source.path));
+    // The glossary lists the phrases themselves, and the changelog quotes what messages said before.
+    let quoting = ["docs/GLOSSARY.md", "CHANGELOG.md"];
+    let documents = markdown_files().into_iter().filter(|path| !quoting.contains(&path.as_str()));
+    let documents = documents.map(|path| (paragraphs(&read(&path)), path));
     let mut found = Vec::new();
-    for (_, folder) in crates() {
-        for source in product_files(&folder) {
-            for (number, passage) in passages(&source.text) {
-                let lower = passage.to_lowercase();
-                let words = words(&lower);
-                let hit = phrases.iter().find(|(phrase, ..)| phrase.is_in(&words));
-                let place = || format!("{}:{number}", source.path);
-                found.extend(hit.map(|(_, old, new)| format!("{}: \"{old}\" -> {new}", place())));
-            }
+    for (passages, path) in code.chain(documents) {
+        for (number, passage) in passages {
+            let lower = passage.to_lowercase();
+            let words = words(&lower);
+            let hit = phrases.iter().find(|(phrase, ..)| phrase.is_in(&words));
+            found.extend(hit.map(|(_, old, new)| format!("{path}:{number}: \"{old}\" -> {new}")));
         }
     }
     assert!(found.is_empty(), "retired phrases: {found:#?}");
@@ -115,6 +118,22 @@ fn passages(text: &str) -> Vec<(usize, String)> {
         is_in_comment = comment.is_some();
     }
     passages
+}
+
+/// The paragraphs of a Markdown file, each with the number of its first line.
+fn paragraphs(text: &str) -> Vec<(usize, String)> {
+    let mut paragraphs: Vec<(usize, String)> = Vec::new();
+    let mut is_open = false;
+    for (number, line) in text.lines().enumerate() {
+        // A row of a table and an entry of a list are paragraphs of their own.
+        let starts = line.trim_start().starts_with(['|', '-', '#']) || !is_open;
+        match paragraphs.last_mut() {
+            Some((_, paragraph)) if !starts => *paragraph += &format!(" {line}"),
+            _ => paragraphs.push((number + 1, line.to_owned())),
+        }
+        is_open = !line.trim().is_empty();
+    }
+    paragraphs
 }
 
 /// The words of a text in lower case, with [`CLAUSE_END`] where a clause ends.

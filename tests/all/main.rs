@@ -8,6 +8,7 @@ mod channels;
 mod command_line;
 mod config;
 mod default_config;
+mod documents;
 mod edges;
 mod emergency_stop;
 mod ended_fleet;

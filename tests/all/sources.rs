@@ -4,7 +4,7 @@
 //! item's indentation. A scan by lines is therefore enough, and no parser is needed.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// One Rust file of the workspace.
 pub struct Source {
@@ -40,6 +40,17 @@ pub fn crates() -> Vec<(String, String)> {
 
 /// All Rust files below a folder of the workspace, without build output.
 pub fn files_below(folder: &str) -> Vec<Source> {
+    let read = |path: PathBuf| Source { path: name_of(&path), text: fs::read_to_string(&path).unwrap() };
+    paths_below(folder, "rs").into_iter().map(read).collect()
+}
+
+/// All Markdown files of the workspace, as paths from its root.
+pub fn markdown_files() -> Vec<String> {
+    paths_below(".", "md").iter().map(|path| name_of(path)).collect()
+}
+
+/// All files with an ending below a folder of the workspace, sorted, without build output and hidden folders.
+fn paths_below(folder: &str, ending: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
     let mut folders = vec![root().join(folder)];
     while let Some(folder) = folders.pop() {
@@ -48,12 +59,12 @@ pub fn files_below(folder: &str) -> Vec<Source> {
             let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
             if path.is_dir() && !hidden && !path.ends_with("target") {
                 folders.push(path);
-            } else if path.extension().is_some_and(|ending| ending == "rs") {
-                found.push(Source { path: name_of(&path), text: fs::read_to_string(&path).unwrap() });
+            } else if path.extension().is_some_and(|found| found == ending) {
+                found.push(path);
             }
         }
     }
-    found.sort_by(|a, b| a.path.cmp(&b.path));
+    found.sort();
     found
 }
 
