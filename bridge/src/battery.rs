@@ -2,7 +2,9 @@
 //!
 //! ROS defines `percentage` as 0 to 1. Some drivers count to 100: ROBOTIS's for the TurtleBot3 passes on the OpenCR's percent,
 //! 0 at 10.5 V, 100 at 12.3 V and 117 for a full battery (`update_battery_status_to_table` in OpenCR's `turtlebot3_ros2`).
-//! A robot counts in percent once it has sent more than [`FRACTION_MAX`], until it has been silent for [`STALE`].
+//! Its first number tells how a robot counts: in percent, if it is more than [`FRACTION_MAX`]. Numbers that contradict that, such as 42 from
+//! a robot that counts to 1, say nothing, until [`CONTRADICTIONS`] have come in a row: then the robot counts the other way. So one
+//! wrong number makes no battery empty or full. After a silence of [`STALE`] a robot's number is its first one again.
 
 use crate::config::BatteryConfig;
 use msg::{Battery, Monotonic, PowerSupplyStatus, RobotId};
@@ -15,6 +17,11 @@ pub const STALE: Duration = Duration::from_secs(30);
 const FRACTION_MAX: f32 = 1.2;
 /// Largest number that a driver sends that counts in percent.
 const PERCENT_MAX: f32 = 125.0;
+/// Numbers in a row that show that a robot counts otherwise than it seemed.
+const CONTRADICTIONS: u8 = 3;
+/// Largest step from one number to the next in which a battery may lose charge, percent. A smaller number than [`FRACTION_MAX`] after a larger
+/// step is a share.
+const DROP_MAX_PERCENT: f32 = 5.0;
 /// Largest voltage that is shown, V: more is another unit.
 const VOLTAGE_MAX_V: f32 = 1000.0;
 
@@ -52,10 +59,64 @@ struct Record {
     newest: Battery,
     /// Charge over capacity in it, 0 to 1, if that is known.
     charge: Option<f64>,
-    /// Whether the robot counts in percent.
-    is_percent: bool,
+    /// How the robot counts; `None` if it has not said.
+    scale: Option<Scale>,
     /// When the state was first seen; `None` until the first tick after it came.
     since: Option<Monotonic>,
+}
+
+/// How a robot counts the charge of its battery.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Scale {
+    unit: Unit,
+    /// The newest number that agrees with the unit.
+    number: f32,
+    /// How many numbers since then contradict it.
+    contradictions: u8,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Unit {
+    /// 0 to 1, as ROS defines it.
+    Share,
+    /// 0 to 100.
+    Percent,
+}
+
+impl Scale {
+    /// Returns how a robot counts that has sent `number` first, from 0 to [`PERCENT_MAX`].
+    fn of_first(number: f32) -> Self {
+        let unit = if number > FRACTION_MAX { Unit::Percent } else { Unit::Share };
+        Self { unit, number, contradictions: 0 }
+    }
+
+    /// Returns how the robot counts as far as is known after one more number, from 0 to [`PERCENT_MAX`].
+    fn after(self, number: f32) -> Self {
+        let is_contradiction = match self.unit {
+            Unit::Share => number > FRACTION_MAX,
+            // An empty battery is 0 in both.
+            Unit::Percent => {
+                (f32::MIN_POSITIVE..=FRACTION_MAX).contains(&number)
+                    && self.number - number > DROP_MAX_PERCENT
+            }
+        };
+        let contradictions = self.contradictions + 1;
+        match is_contradiction {
+            false => Self { number, contradictions: 0, ..self },
+            true if contradictions < CONTRADICTIONS => Self { contradictions, ..self },
+            true => Self::of_first(number),
+        }
+    }
+
+    /// Returns the share of the capacity that a number is; `None` if it contradicts the unit, or is between both units.
+    fn share(self, number: f32) -> Option<f32> {
+        match self.unit {
+            _ if self.contradictions > 0 => None,
+            Unit::Percent => Some(number / 100.0),
+            // Above 1 it may be a full battery by its voltage, or an empty one in percent.
+            Unit::Share => Some(number).filter(|share| *share <= 1.0),
+        }
+    }
 }
 
 /// The newest states of the batteries of all robots that have sent one.
@@ -71,10 +132,9 @@ impl Batteries {
     /// Takes a newer state of a robot's battery.
     pub(crate) fn set(&mut self, robot: RobotId, newest: &Battery) {
         let Some(record) = self.0.get_mut(robot.index()) else { return };
-        let counts_in_percent = newest.percentage > FRACTION_MAX && newest.percentage <= PERCENT_MAX;
-        let is_percent = counts_in_percent || record.is_some_and(|before| before.is_percent);
-        let charge = charge(newest, is_percent);
-        *record = Some(Record { newest: *newest, charge, is_percent, since: None });
+        let mut scale = record.and_then(|before| before.scale);
+        let charge = charge(newest, &mut scale);
+        *record = Some(Record { newest: *newest, charge, scale, since: None });
     }
 
     /// Lets states grow old. Call it often: their age is counted from the first call after they came.
@@ -82,7 +142,7 @@ impl Batteries {
         for record in self.0.iter_mut().flatten() {
             record.since.get_or_insert(now);
             // What it sends after a silence may be another driver's.
-            record.is_percent &= !record.is_stale(now);
+            record.scale = record.scale.filter(|_| !record.is_stale(now));
         }
     }
 
@@ -128,19 +188,17 @@ impl Record {
     }
 }
 
-/// Returns the charge over the capacity, 0 to 1. `None`: it is not measured, no battery is there, or the number is no charge.
-fn charge(battery: &Battery, is_percent: bool) -> Option<f64> {
+/// Returns the charge over the capacity, 0 to 1, and what its number says of the robot's scale. `None`: it is not measured, no battery is
+/// there, or the number is no charge.
+fn charge(battery: &Battery, scale: &mut Option<Scale>) -> Option<f64> {
+    let number = battery.percentage;
     // A driver that leaves both fields unset says nothing; one that leaves `present` alone unset does.
-    if battery.percentage == 0.0 && battery.is_present == 0 {
+    if !(0.0..=PERCENT_MAX).contains(&number) || number == 0.0 && battery.is_present == 0 {
         return None;
     }
-    let share = match battery.percentage {
-        percent if is_percent && (0.0..=PERCENT_MAX).contains(&percent) => percent / 100.0,
-        share if !is_percent && (0.0..=1.0).contains(&share) => share,
-        // Above 1 it may be a full battery by its voltage, or an empty one in percent.
-        _ => return None,
-    };
-    Some(rounded(share.min(1.0), 1000.0))
+    let scale = scale.insert(scale.map_or_else(|| Scale::of_first(number), |before| before.after(number)));
+    // The sum with 0 makes 0 of -0.
+    scale.share(number).map(|share| rounded(share.min(1.0), 1000.0) + 0.0)
 }
 
 /// Returns how urgent a charge is, 0 to 1.

@@ -196,6 +196,9 @@ impl Core {
             self.stats.tick(now);
         }
         self.batteries.tick(now);
+        if let Some(world) = &mut self.world {
+            world.tick(now);
+        }
         self.gate.tick(now);
         self.send_velocities();
         self.enforce_limits(now);

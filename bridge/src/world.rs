@@ -36,6 +36,7 @@ pub use mount::MountError;
 pub use publishers::{PublisherId, RobotTopic, Sender};
 pub use suspects::OutlierError;
 
+use battery::BatteryRate;
 use checks::{check_scan, check_transform, empty_scan, planar_pose};
 use frozen::RepeatedScan;
 use mount::Mounts;
@@ -99,8 +100,7 @@ struct RobotState {
     last_pose: Option<SentPose>,
     /// When TF had odom -> base last, by the run's time.
     last_transform: Option<Stamp>,
-    /// When the state of its battery was passed on last, by the run's time.
-    battery_sent: Option<Stamp>,
+    battery: BatteryRate,
     /// Whether odom -> base_footprint was received: base_link, which moves the same, is then not needed.
     has_footprint: bool,
     publishers: RobotPublishers,

@@ -35,9 +35,26 @@ fn a_share_is_one_and_percent_are_told_by_a_number_above_it() {
     assert_eq!(charge(&[42.0]), Some(0.42));
     assert_eq!(charge(&[116.67]), Some(1.0), "a full battery of a TurtleBot3");
     // Nearly empty, and counted in percent: the robot has said before how it counts.
-    assert_eq!(charge(&[42.0, 1.1, 0.8]), Some(0.008));
+    assert_eq!(charge(&[5.0, 1.1, 0.8]), Some(0.008));
+    assert_eq!(charge(&[42.0, 0.0]), Some(0.0), "empty in both");
     assert_eq!(charge(&[1.1]), None, "full by its voltage, or 1.1 %");
     assert_eq!(charge(&[0.9, 0.8, 0.7]), Some(0.7));
+}
+
+#[test]
+fn one_wrong_number_makes_no_battery_empty_or_full() {
+    assert_eq!(charge(&[0.5, 42.0]), None, "42 % or no charge");
+    assert_eq!(charge(&[0.5, 42.0, 0.5]), Some(0.5));
+    assert_eq!(charge(&[0.5, 42.0, 117.0, 0.5, 42.0, 0.49]), Some(0.49));
+    assert_eq!(charge(&[42.0, 0.9]), None, "0.9 % or 90 %");
+    assert_eq!(charge(&[42.0, 0.9, 42.0]), Some(0.42));
+    // A driver that was replaced by another one.
+    assert_eq!(charge(&[0.5, 42.0, 42.0]), None);
+    assert_eq!(charge(&[0.5, 42.0, 42.0, 42.0]), Some(0.42));
+    assert_eq!(charge(&[42.0, 0.9, 0.9]), None);
+    assert_eq!(charge(&[42.0, 0.9, 0.9, 0.9, 0.8]), Some(0.8));
+    let empty = charge(&[-0.0]).unwrap();
+    assert!(empty == 0.0 && empty.is_sign_positive());
 }
 
 #[test]

@@ -1,12 +1,27 @@
 //! Batteries of an external world's robots: the newest state of each goes on once a second.
 
 use super::{ExternalWorld, Origin, RobotTopic, WorldError, WorldMessage};
-use msg::{Header, RobotId};
+use msg::{Battery, Header, RobotId, Stamp};
 use ros_messages::battery::read_battery;
 use ros_messages::cdr::Reader;
 
 /// Shortest time between two states of one battery that are passed on, seconds. Drivers send up to 20 a second.
 const PERIOD_S: f64 = 1.0;
+
+/// States of one battery: when the last one was passed on, and the newest that came too early after it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct BatteryRate {
+    /// By the run's time.
+    sent: Option<Stamp>,
+    held: Option<Battery>,
+}
+
+impl BatteryRate {
+    /// Returns whether the last state was passed on less than a period ago. After the clock was set back it was not.
+    fn is_early(&self, now: Stamp) -> bool {
+        self.sent.is_some_and(|sent| (0.0..PERIOD_S).contains(&(now - sent)))
+    }
+}
 
 impl ExternalWorld {
     /// Takes the state of a battery. It makes nobody the robot's source: what watches the battery may be another program than
@@ -22,16 +37,26 @@ impl ExternalWorld {
             return Ok(());
         }
         let mut battery = read_battery(&mut from)?;
-        let state = &mut self.robots[robot.index()];
-        let is_early = |last| (0.0..PERIOD_S).contains(&(origin.received - last));
-        if state.battery_sent.is_some_and(is_early) {
-            return Ok(());
-        }
-        state.battery_sent = Some(origin.received);
         // Its driver's clock does not matter: the state is as old as its arrival.
         battery.header = Header { stamp: origin.received, ..Header::default() };
-        (self.sink)(WorldMessage::Battery(robot, &battery));
+        self.robots[robot.index()].battery.held = Some(battery);
+        self.send_batteries(origin.received);
         Ok(())
+    }
+
+    /// Passes on the newest states that came too early, as soon as they may go. Call it often: the last state of a driver that ends
+    /// goes on, too.
+    pub fn send_batteries(&mut self, now: Stamp) {
+        for robot in self.names.robots() {
+            let rate = &mut self.robots[robot.index()].battery;
+            if rate.is_early(now) {
+                continue;
+            }
+            if let Some(battery) = rate.held.take() {
+                rate.sent = Some(now);
+                (self.sink)(WorldMessage::Battery(robot, &battery));
+            }
+        }
     }
 }
 
@@ -81,23 +106,29 @@ mod tests {
     }
 
     proptest! {
-        /// However fast a driver sends, each robot's state goes on once a second at most, and no older than that.
+        /// However fast a driver sends, a robot's state goes on once a second at most, and its newest one within a second.
         #[test]
         fn the_newest_state_goes_on_once_a_second(steps_ms in prop::collection::vec(1_u32..3000, 1..200)) {
             let (mut world, passed) = world();
-            let mut at_ms = 0;
+            let (mut at_ms, mut sent_ms) = (0, vec![]);
             for (index, step_ms) in steps_ms.iter().enumerate() {
                 at_ms += step_ms;
                 let (at_s, payload) = (f64::from(at_ms) * 1e-3, state(index as f32));
                 let message = Incoming::Battery(ROBOT, Reader::new(&payload).unwrap());
                 receive(&mut world, 7, message, at_s).unwrap();
-                let passed = passed.borrow();
-                let (robot, newest) = passed.last().unwrap();
-                prop_assert_eq!(*robot, ROBOT);
+                sent_ms.extend((sent_ms.len()..passed.borrow().len()).map(|_| at_ms));
+                let (robot, newest) = *passed.borrow().last().unwrap();
+                prop_assert_eq!(robot, ROBOT);
                 prop_assert!(at_s - newest.header.stamp.seconds() < 1.0);
             }
-            let passed = passed.borrow();
-            prop_assert!(passed.windows(2).all(|two| two[1].1.header.stamp - two[0].1.header.stamp >= 1.0 - 1e-9));
+            prop_assert!(sent_ms.windows(2).all(|two| two[1] - two[0] >= 1000));
+            world.send_batteries(Stamp::from_seconds(f64::from(at_ms + 1000) * 1e-3));
+            let newest = passed.borrow().last().unwrap().1;
+            prop_assert_eq!(newest.percentage, (steps_ms.len() - 1) as f32);
+            prop_assert_eq!(newest.header.stamp, Stamp::from_seconds(f64::from(at_ms) * 1e-3), "its arrival");
+            let count = passed.borrow().len();
+            world.send_batteries(Stamp::from_seconds(f64::from(at_ms + 9000) * 1e-3));
+            prop_assert_eq!(passed.borrow().len(), count, "nothing is sent twice");
         }
     }
 

@@ -41,6 +41,11 @@ impl WorldInput {
         self.world.receive(sender, clock, message, (self.stamp_at)(now))
     }
 
+    /// Passes on what waited for its time. Call it often.
+    pub fn tick(&mut self, now: Monotonic) {
+        self.world.send_batteries((self.stamp_at)(now));
+    }
+
     /// Returns by how many seconds a source's clock was found to be set since the last call, and the robot whose scans show it, if it
     /// is known.
     pub fn take_clock_step(&mut self, source: SourceId) -> Option<(Option<RobotId>, f64)> {
