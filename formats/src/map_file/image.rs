@@ -56,26 +56,35 @@ fn read_pgm(path: &Path, mut file: impl BufRead) -> Result<Pixels, MapFileError>
     };
     let (width, height, depth) = (number("width")?, number("height")?, number("maximum grey")?);
     let (width, height) = check_size(path, width, height)?;
-    if !(1..=255).contains(&depth) {
-        return Err(MapFileError::content(path, format!("maximum grey {depth}"), "1 to 255"));
+    if !(1..=u64::from(u16::MAX)).contains(&depth) {
+        return Err(MapFileError::content(path, format!("maximum grey {depth}"), "1 to 65535"));
     }
     let size = width as usize * height as usize;
+    // Above 255, netpbm's binary greys are two bytes, the more significant one first.
+    let bytes_per_pixel = if plain || depth <= 255 { 1 } else { 2 };
+    let bytes_max = if plain { PLAIN_BYTES_PER_PIXEL_MAX } else { bytes_per_pixel as u64 } * size as u64;
     let mut raw = Vec::new();
-    let limit = if plain { PLAIN_BYTES_PER_PIXEL_MAX * size as u64 } else { size as u64 };
-    file.take(limit).read_to_end(&mut raw).map_err(MapFileError::io(path))?;
-    if plain {
-        raw = plain_pixels(&raw, size);
+    file.take(bytes_max).read_to_end(&mut raw).map_err(MapFileError::io(path))?;
+    let mut greys = Vec::with_capacity(size.min(raw.len()));
+    let mut bytes = raw.iter().copied();
+    let mut next = || bytes.next();
+    let mut next_grey = || match (plain, bytes_per_pixel) {
+        (true, _) => pgm_number(&mut next),
+        (false, 1) => next().map(u64::from),
+        (false, _) => Some(u64::from(u16::from_be_bytes([next()?, next()?]))),
+    };
+    while greys.len() < size {
+        let Some(grey) = next_grey() else {
+            let expected = format!("{size} for {width} x {height} cells");
+            return Err(MapFileError::content(path, format!("truncated: {} pixels", greys.len()), expected));
+        };
+        if grey > depth {
+            let what = format!("pixel {} is {grey} over the maximum grey {depth}", greys.len());
+            return Err(MapFileError::content(path, what, "greys up to the maximum"));
+        }
+        greys.push(Some(((grey * 255 + depth / 2) / depth) as u8));
     }
-    if raw.len() != size {
-        let expected = format!("{size} for {width} x {height} cells");
-        return Err(MapFileError::content(path, format!("truncated: {} pixels", raw.len()), expected));
-    }
-    if let Some(at) = raw.iter().position(|grey| u64::from(*grey) > depth) {
-        let what = format!("pixel {at} is {} over the maximum grey {depth}", raw[at]);
-        return Err(MapFileError::content(path, what, "greys up to the maximum"));
-    }
-    let scale = |grey: u8| ((u64::from(grey) * 255 + depth / 2) / depth) as u8;
-    Ok(Pixels { width, height, greys: raw.into_iter().map(|grey| Some(scale(grey))).collect() })
+    Ok(Pixels { width, height, greys })
 }
 
 /// Reads the next number past white space and comments, and the one white space that ends it.
@@ -99,14 +108,6 @@ fn pgm_number(next: &mut impl FnMut() -> Option<u8>) -> Option<u64> {
     }
     let clean_end = ended_by.is_none_or(|byte| byte.is_ascii_whitespace());
     (digits && clean_end).then_some(value)
-}
-
-/// Reads up to `size` greys; fewer if the text ends or is malformed.
-fn plain_pixels(text: &[u8], size: usize) -> Vec<u8> {
-    let mut bytes = text.iter().copied();
-    let mut next = || bytes.next();
-    let numbers = core::iter::from_fn(|| pgm_number(&mut next)?.try_into().ok());
-    numbers.take(size).collect()
 }
 
 fn read_png(path: &Path, file: impl BufRead + Seek) -> Result<Pixels, MapFileError> {

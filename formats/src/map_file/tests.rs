@@ -35,6 +35,15 @@ fn reads_what_map_saver_writes() {
 }
 
 #[test]
+fn greys_of_16_bits_are_read_as_those_of_8() {
+    let grid = read(YAML, b"P5\n2 2\n255\n\x00\xfe\xcd\xfe").unwrap();
+    // Netpbm's order: the more significant byte first. 255 steps of 257 are 65535.
+    let wide = read(YAML, b"P5\n2 2\n65535\n\x00\x00\xfe\xfe\xcd\xcd\xfe\xfe").unwrap();
+    assert_eq!(wide, grid);
+    assert_eq!(read(YAML, b"P2 2 2 65535 0 65278 52685 65278").unwrap(), grid);
+}
+
+#[test]
 fn what_nobody_has_seen_is_unknown_whatever_map_savers_free_threshold_is() {
     let yaml = YAML.replace("0.196", "0.25");
     let grid = read(&yaml, b"P5 2 2 255\n\x00\xfe\xcd\xfe").unwrap();
@@ -125,7 +134,10 @@ fn refuses_broken_images() {
         (b"P5 4294967295 4294967295 255\n", "4294967295 x 4294967295"),
         (b"P5 99999999999999999999999 1 255\n", "no width"),
         (b"P5 0 2 255\n", "0 x 2 cells"),
-        (b"P5 2 2 65535\n\0\0\0\0\0\0\0\0", "maximum grey 65535"),
+        (b"P5 2 2 65536\n\0\0\0\0\0\0\0\0", "maximum grey 65536; expected 1 to 65535"),
+        (b"P5 2 2 65535\n\0\0\0\0\0\0\0", "truncated: 3 pixels; expected 4"),
+        (b"P5 1 1 256\n\x01\x01", "pixel 0 is 257 over the maximum grey 256"),
+        (b"P2 2 2 255\n0 1 300 3", "pixel 2 is 300 over the maximum grey 255"),
         (b"P5 2", "no height"),
         (b"P5 2 2 100\n\x00\xfe\xcd\xfe", "pixel 1 is 254"),
         (b"P2 2 2 255\n0 1 x 3", "truncated: 2 pixels"),
