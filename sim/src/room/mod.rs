@@ -29,6 +29,7 @@ use mesh::Mesh;
 pub use mruk::{AnchorError, MrukError};
 pub use obj::ObjError;
 use parry3d::shape::{SharedShape, TriMesh};
+use plan::ROOM_MIN_M2;
 pub use polygon::PolygonError;
 pub use scene::{EntityError, SceneError};
 use std::sync::Arc;
@@ -52,6 +53,8 @@ pub struct Room {
     mesh: Arc<TriMesh>,
     ground: Arc<Ground>,
     furniture: Arc<[Furniture]>,
+    /// Length of the border between floor and unknown cells of a map, metres.
+    open_edge_m: f64,
 }
 
 /// Reason why a file is not a usable room.
@@ -178,6 +181,11 @@ pub enum StartError {
         /// Area of the enclosed floor, square metres.
         area_m2: f64,
     },
+    /// No place of the room has enough space around it.
+    #[error(
+        "the room has no space for a robot; expected a floor of at least {ROOM_MIN_M2} m² without gaps, whose ways are at least 0.3 m wide"
+    )]
+    NoSpace,
     /// The room has space for fewer robots.
     #[error("the room has no place for {count} robots, only for {found}")]
     Full {
@@ -199,6 +207,11 @@ impl Room {
         &self.furniture
     }
 
+    /// Returns the length of the floor's edge beyond which a map knows nothing, metres; 0 for a room that is no map. Robots see over it.
+    pub fn open_edge_m(&self) -> f64 {
+        self.open_edge_m
+    }
+
     /// Checks a mesh and finds its floor. `stated_floor_m` is the floor's height if the file states it.
     fn from_mesh(name: &str, mut mesh: Mesh, stated_floor_m: Option<f32>) -> Result<Self, RoomError> {
         mesh.check()?;
@@ -212,7 +225,13 @@ impl Room {
         let standing = plan::obstacles_of(&mesh, FLOOR_RELIEF_M);
         let obstacles = TriMesh::new(standing.vertices, standing.triangles)
             .map_err(|_| RoomError::NoPlace { reason: "nothing stands on it that a LiDAR could see" })?;
-        Ok(Self { name: name.to_owned(), mesh: Arc::new(obstacles), ground: Arc::new(ground), furniture })
+        Ok(Self {
+            name: name.to_owned(),
+            mesh: Arc::new(obstacles),
+            ground: Arc::new(ground),
+            furniture,
+            open_edge_m: 0.0,
+        })
     }
 
     /// Returns the walls and furniture, without the floor.

@@ -19,7 +19,7 @@ const RESOLUTION_MAX_M: f64 = 1.0;
 /// Length of a plan's cells if the requested one is not a number, metres.
 const RESOLUTION_DEFAULT_M: f64 = 0.05;
 /// Smallest area of a free floor that is a room and not the inside of a cupboard, square metres.
-const ROOM_MIN_M2: f64 = 3.0;
+pub(super) const ROOM_MIN_M2: f64 = 3.0;
 /// Distances from obstacles at which robots may start, metres. The largest that the room allows is used.
 const START_CLEARANCES_M: [f32; 3] = [0.4, 0.25, 0.15];
 /// Smallest distance between two starting robots, metres, so that they can turn and pass.
@@ -168,7 +168,10 @@ impl Room {
         for clearance_m in START_CLEARANCES_M {
             found = self.spread(count, clearance_m);
             if found.len() == count {
-                return Ok(found.into_iter().map(|point| self.look_around(point)).collect());
+                let starts: Vec<_> = found.into_iter().map(|point| self.look_around(point)).collect();
+                // Nobody asked for these places: that one is enclosed says that the room has no better one.
+                let are_usable = starts.iter().all(|start| self.check_start(*start).is_ok());
+                return if are_usable { Ok(starts) } else { Err(StartError::NoSpace) };
             }
         }
         Err(StartError::Full { count, found: found.len() })

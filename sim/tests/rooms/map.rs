@@ -212,6 +212,32 @@ fn a_border_to_unknown_cells_stops_robots_and_not_beams() {
 }
 
 #[test]
+fn the_length_of_the_open_edge_is_that_of_floor_beside_unknown_cells() {
+    // Three sides of 4 m and the two ends of the fourth, of 1 m each.
+    let open_m = room(&open_room()).open_edge_m();
+    assert!((open_m - 14.0).abs() < 0.5, "{open_m}");
+    let mut closed = free_map(40, 40, 0.1, Pose2::IDENTITY);
+    set_rim(&mut closed, [0; 2], [39; 2], OCCUPIED);
+    assert_eq!(room(&closed).open_edge_m(), 0.0);
+    assert_eq!(Room::laboratory().open_edge_m(), 0.0);
+}
+
+#[test]
+fn a_map_whose_largest_floor_is_too_narrow_for_robots_says_that_it_has_no_space() {
+    let mut map = free_map(200, 100, 0.05, Pose2::IDENTITY);
+    map.cells.fill(OCCUPIED);
+    // Ways of 0.2 m, connected at the left, and a box of 1 m by 1 m.
+    for row in (1..99).filter(|row| row % 5 != 0) {
+        (1..150).for_each(|column| set(&mut map, column, row, FREE));
+    }
+    (1..99).for_each(|row| (1..5).for_each(|column| set(&mut map, column, row, FREE)));
+    (10..30).for_each(|row| (170..190).for_each(|column| set(&mut map, column, row, FREE)));
+    let why = room(&map).starts(1).unwrap_err();
+    assert_eq!(why, StartError::NoSpace);
+    assert!(why.to_string().contains("no space for a robot; expected a floor of at least 3 m²"), "{why}");
+}
+
+#[test]
 fn one_or_two_unknown_cells_between_walls_are_wall() {
     let seen_through = |gap: std::ops::Range<u32>| {
         let mut map = free_map(40, 40, 0.1, Pose2::IDENTITY);

@@ -120,6 +120,7 @@ impl Room {
             mesh: Arc::new(mesh),
             ground: Arc::new(ground),
             furniture: Vec::new().into(),
+            open_edge_m: walls.border_m,
         })
     }
 }
@@ -148,9 +149,7 @@ impl KnownCells {
         }
         let (first, last) = known_rectangle(map);
         let [width, height] = [0, 1].map(|axis| last[axis] - first[axis] + 3);
-        if width.saturating_mul(height) > CELLS_MAX {
-            return Err(MapError::TooManyCells { width: width - 2, height: height - 2 });
-        }
+        check_count(width - 2, height - 2)?;
         let resolution_m = header.resolution_m;
         let corner_m = first.map(|cell| (cell as f64 - 1.0) * resolution_m);
         let [x_m, y_m] = header.origin.apply(corner_m);
@@ -253,6 +252,12 @@ impl KnownCells {
     }
 }
 
+/// Checks the number of cells of the known part, without the unknown ones around it.
+fn check_count(width: usize, height: usize) -> Result<(), MapError> {
+    let is_sound = width.checked_mul(height).is_some_and(|count| count <= CELLS_MAX);
+    if is_sound { Ok(()) } else { Err(MapError::TooManyCells { width, height }) }
+}
+
 /// Returns the first and the last column and row with known cells, of a map that has some.
 fn known_rectangle(map: GridView<'_>) -> ([usize; 2], [usize; 2]) {
     let width = map.header.width as usize;
@@ -272,6 +277,8 @@ fn known_rectangle(map: GridView<'_>) -> ([usize; 2], [usize; 2]) {
 struct WallMesh {
     vertices: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
+    /// Length of all borders, metres.
+    border_m: f64,
 }
 
 impl WallMesh {
@@ -290,7 +297,7 @@ impl WallMesh {
         let is_unknown = |point: &OutlinePoint| cells.at(point.cell.0, point.cell.1) == Occupancy::Unknown;
         let Some(first_wall) = ring.iter().position(|point| !is_unknown(point)) else {
             let closed: Vec<DVec2> = ring.iter().chain(&ring[..1]).map(|point| point.position).collect();
-            return self.add_line(cells, &simplify(&closed, TOLERANCE_CELLS), BORDER_HEIGHT_M);
+            return self.add_border_line(cells, &closed);
         };
         // From one wall to the next one, with a point of each.
         let mut line = Vec::new();
@@ -303,12 +310,19 @@ impl WallMesh {
             } else {
                 if !line.is_empty() {
                     line.push(point.position);
-                    self.add_line(cells, &simplify(&line, TOLERANCE_CELLS), BORDER_HEIGHT_M);
+                    self.add_border_line(cells, &line);
                     line.clear();
                 }
                 last = Some(point.position);
             }
         }
+    }
+
+    fn add_border_line(&mut self, cells: &KnownCells, points: &[DVec2]) {
+        let line = simplify(points, TOLERANCE_CELLS);
+        let in_cells: f64 = line.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+        self.border_m += in_cells * cells.resolution_m;
+        self.add_line(cells, &line, BORDER_HEIGHT_M);
     }
 
     /// Adds a rectangle on each segment of a line, from the floor's relief up. Stops where there are more triangles than a room has.
@@ -326,5 +340,19 @@ impl WallMesh {
             }
             before = Some(low);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn as_many_known_cells_as_the_limit_says_are_taken() {
+        assert_eq!(CELLS_MAX, 4096 * 4096);
+        check_count(4096, 4096).unwrap();
+        let said = check_count(4096, 4097).unwrap_err().to_string();
+        assert!(said.contains("4096 x 4097") && said.contains("16777216"), "{said}");
+        check_count(usize::MAX, 2).unwrap_err();
     }
 }
