@@ -11,6 +11,8 @@ const INDENT: usize = 9;
 const LIVE_CLIENTS_MAX: usize = 2;
 /// Age of maps above which tables say it: their figures come once a second.
 const MAPS_AGE_MAX_S: f64 = 3.0;
+/// F1 of occupied cells below which a map shares almost nothing with the room's walls.
+const ROOM_F1_MIN: f64 = 0.05;
 
 const ROBOT_COLUMNS: [Column; 8] = [
     Column { heading: ["robot", ""], width: 8, is_left: true, drop_order: 0 },
@@ -115,16 +117,22 @@ impl FleetView {
         let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1}%", 100.0 * v));
         text += &style.wrap(
             &format!(
-                "merged   room covered {}   consistency {} ({} within one cell)   occupied F1 {}   by chance: {}, F1 {}",
+                "merged   room covered {}   consistency {} ({} within one cell)   occupied F1 {}   over {}   by chance: {}, F1 {}",
                 percent(self.room_coverage),
                 percent(self.consistency),
                 percent(self.consistency_one_cell),
                 percent(self.occupied_f1),
+                self.overlap_m2.map_or_else(|| "-".into(), |m2| format!("{m2:.1} m2")),
                 percent(self.null_consistency_mean),
                 percent(self.null_f1_mean),
             ),
             INDENT,
         );
+        let is_elsewhere = self.against_room.as_ref().is_some_and(|room| room.occupied_f1 < ROOM_F1_MIN);
+        if is_elsewhere {
+            text +=
+                &style.wrap("room     the merged map shares almost nothing with the room's walls", INDENT);
+        }
         text + &self.merge_lines(style)
     }
 
@@ -293,6 +301,12 @@ mod tests {
             stats.maps_age_s = age_s;
             let text = table(&stats);
             assert_eq!(text.contains("maps that are 12 s old"), is_said, "{text}");
+        }
+        for (room_f1, is_said) in [(f64::NAN, false), (0.9, false), (0.01, true)] {
+            (stats.room_f1, stats.pair_count, stats.overlap_m2) = (room_f1, 1, 0.3);
+            let text = table(&stats);
+            assert_eq!(text.contains("almost nothing with the room's walls"), is_said, "{text}");
+            assert!(text.contains("occupied F1 0.0%   over 0.3 m2"), "{text}");
         }
         let json = serde_json::to_value(FleetView::new(&stats)).unwrap();
         assert!(json["robots"][0]["scans_lost"].is_null() && json["counted_s"] == 42.0, "{json}");

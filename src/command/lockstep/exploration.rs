@@ -18,6 +18,8 @@ pub(super) struct WatchedExploration {
 pub(super) struct ExplorationOutcome {
     #[serde(flatten)]
     answer: ExplorationSummary,
+    /// Whether the exploration ended by itself, and not with the time of the run.
+    is_over: bool,
     /// Time in which each robot did not know its place, seconds.
     lost_s: Vec<u32>,
 }
@@ -52,8 +54,9 @@ impl WatchedExploration {
 
     /// What the exploration came to until now.
     pub(super) fn outcome(self) -> ExplorationOutcome {
+        let is_over = self.has_ended();
         let answer = ExplorationSummary::new(&self.newest, self.lost_s.len());
-        ExplorationOutcome { answer, lost_s: self.lost_s }
+        ExplorationOutcome { answer, is_over, lost_s: self.lost_s }
     }
 }
 
@@ -63,6 +66,11 @@ impl ExplorationOutcome {
         let robots = RobotId::first(self.lost_s.len()).zip(&self.lost_s).filter(|(_, lost_s)| **lost_s > 0);
         let lost: String =
             robots.map(|(robot, lost_s)| format!("{robot} was lost for {lost_s} s\n")).collect();
-        format!("exploration {}{lost}", self.answer.text())
+        let end = if self.is_over {
+            ""
+        } else {
+            "the run ended before the exploration was over: give more --seconds\n"
+        };
+        format!("exploration {}{end}{lost}", self.answer.text())
     }
 }
