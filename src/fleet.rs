@@ -9,6 +9,7 @@ use crate::sessions::{self, SessionsError};
 use headset::HeadsetRobots;
 use msg::{Pose2, RobotId, Stamp};
 use sim::{Room, Simulator, StartError};
+use std::sync::Once;
 use std::time::Duration;
 
 /// Reason why a world cannot be built.
@@ -52,6 +53,11 @@ pub enum FleetError {
 
 /// Smallest distance between two start poses, metres: bodies do not touch, whatever their headings.
 const START_APART_MIN_M: f64 = 2.0 * sim::burger::RADIUS_M;
+
+/// Length from which the open edge of a room's floor is said, metres.
+const OPEN_EDGE_MIN_M: f64 = 0.5;
+/// An experiment of many sessions says it once.
+static WARNED_OF_EDGE: Once = Once::new();
 
 /// Loads the configured room.
 pub fn room(config: &FleetConfig) -> Result<Room, FleetError> {
@@ -161,6 +167,15 @@ pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
         return Ok(());
     }
     let room = room(config)?;
+    if room.open_edge_m() >= OPEN_EDGE_MIN_M {
+        WARNED_OF_EDGE.call_once(|| {
+            tracing::warn!(
+                "room {}: {:.1} m of the floor's edge is open: unknown cells beside free ones; robots see over the border there",
+                config.fleet.room,
+                room.open_edge_m()
+            );
+        });
+    }
     let starts = starts(config, &room)?;
     for (robot, start) in RobotId::first(config.fleet.robots).zip(starts) {
         simulator(config, &room, robot, start)?;

@@ -105,6 +105,11 @@ impl Lockstep {
     /// # Errors
     /// As [`Lockstep::new`].
     pub fn with_faults(config: &FleetConfig, together: bool, faults: FaultPlan) -> Result<Self, Error> {
+        fleet::check(config)?;
+        Self::with_operator(config, together, faults)
+    }
+
+    fn with_operator(config: &FleetConfig, together: bool, faults: FaultPlan) -> Result<Self, Error> {
         // Robots that explore have no other operator.
         let mut fleet = Self::open(config, together, faults, config.fleet.explore)?;
         if config.fleet.explore {
@@ -118,6 +123,7 @@ impl Lockstep {
     /// # Errors
     /// As [`Lockstep::new`].
     pub fn with_navigation(config: &FleetConfig, faults: FaultPlan) -> Result<Self, Error> {
+        fleet::check(config)?;
         let mut fleet = Self::open(config, true, faults, true)?;
         fleet.people.operator.idle_until = Monotonic(u64::MAX);
         Ok(fleet)
@@ -129,7 +135,6 @@ impl Lockstep {
         faults: FaultPlan,
         has_navigation: bool,
     ) -> Result<Self, Error> {
-        fleet::check(config)?;
         let network = Network::new(faults);
         let storage = MemoryStorage::new(&network);
         let mut run = Run::in_memory(config.clone())?;
@@ -153,7 +158,15 @@ impl Lockstep {
             violations: Vec::new(),
             saved: vec![0; config.fleet.robots],
             reset_at: None,
-            world: World { run, network, storage, port, recording: None, sends_transforms: false },
+            world: World {
+                run,
+                network,
+                storage,
+                port,
+                recording: None,
+                sends_transforms: false,
+                has_room: true,
+            },
         })
     }
 
@@ -182,7 +195,14 @@ impl Lockstep {
         // What moved in the room is in the scans.
         let mut config = config.clone();
         config.sim.moving = sim::MovingConfig::default();
-        let mut fleet = Self::new(&config, false)?;
+        let has_room = recording.has_room;
+        config.fleet.furniture_zones &= has_room;
+        match has_room {
+            true => fleet::check(&config)?,
+            false => sessions::check(&config)?,
+        }
+        let mut fleet = Self::with_operator(&config, false, FaultPlan::none())?;
+        fleet.world.has_room = has_room;
         fleet.world.network.clock().set(fleet.world.run.epoch.moment(recording.begins()));
         (fleet.world.recording, fleet.world.sends_transforms) = (Some(recording), sends_transforms);
         Ok(fleet)

@@ -7,6 +7,7 @@
 //! | `.lock` | held by the launcher, so that a second fleet does not use the folder |
 //! | `merge.json`, `merge_robotK.map.gz`, `sessions/`, `bridge.json`, `stopped`, `denied` | state that restarted processes continue with |
 //! | `link.json` | figures of the link to other machines, if there are several |
+//! | `room.copy/` | copy of the room's files, if it has some: restarted processes read it, whatever becomes of the files |
 //! | `recording/` | recording of the run, if there is one |
 //! | `results.earlier/`, `sessions/*.earlier` | maps, report and sessions of the run before in this folder |
 //! | maps, `report.json`, `report.html`; `launcher.log` | results, written at the end; messages of the processes |
@@ -24,7 +25,8 @@ pub use running::{LostFleet, RunningFleets, has_remote_robots, runtime_folder_of
 
 use crate::channel::Opener;
 use crate::clock::Epoch;
-use crate::config::FleetConfig;
+use crate::config::room::{RoomFiles, RoomLoadError};
+use crate::config::{FleetConfig, RobotSource};
 use crate::layout;
 use crate::other_fleets::OtherFleet;
 use crate::ports::ChannelError;
@@ -94,6 +96,9 @@ pub enum RunError {
     /// Shared memory of the run cannot be used.
     #[error(transparent)]
     Channel(#[from] ChannelError),
+    /// The room's files cannot be read.
+    #[error(transparent)]
+    Room(#[from] Box<RoomLoadError>),
     /// No fleet runs.
     #[error("no fleet is running; start one with `mr-slam up`")]
     NoneRunning,
@@ -181,6 +186,8 @@ pub struct Run {
     pub config: FleetConfig,
     /// Content of `run.json`.
     file: RunFile,
+    /// Files of the room as they were at the start, in the launcher: it writes their copy again if the folder is lost.
+    room: Option<Arc<RoomFiles>>,
     /// Locks of the launcher, which say that it lives. They end with its process.
     _locks: Option<Arc<[Lock; 3]>>,
 }
@@ -209,17 +216,31 @@ pub fn create_new_folder(parent: &Path, name: &str) -> Result<PathBuf, RunError>
     Err(RunError::file(&dir)(io::ErrorKind::AlreadyExists.into()))
 }
 
+/// Reads the files of a simulated room, and names the copy of them in a run's folder as the room of the configuration. `None`: the room
+/// has no files.
+fn hold_room(dir: &Path, config: &mut FleetConfig) -> Result<Option<Arc<RoomFiles>>, RunError> {
+    if config.world != RobotSource::Simulator {
+        return Ok(None);
+    }
+    let Some(files) = RoomFiles::read(&config.fleet.room).map_err(Box::new)? else { return Ok(None) };
+    // A configuration holds no path that is not UTF-8: there the run reads the files themselves.
+    let Some(copy) = files.copy_in(dir).to_str().map(str::to_owned) else { return Ok(None) };
+    config.fleet.room = copy;
+    Ok(Some(Arc::new(files)))
+}
+
 impl Run {
     /// Begins a run of this process in `dir`, which is created if it does not exist. The run may `outlive_session`, the
     /// user's login. What fleets of dead launchers left is removed.
     pub fn create(
         dir: &Path,
-        config: FleetConfig,
+        mut config: FleetConfig,
         port: u16,
         outlives_session: bool,
     ) -> Result<Self, RunError> {
         let dir = create_folder(dir)?;
         let dir_lock = lock_folder(&dir)?;
+        let room = hold_room(&dir, &mut config)?;
         remove_link_report(&dir)?;
         let remove = |name: &str, root: &Path| {
             if Domain::new(name, root).is_ok_and(|domain| domain.remove_leftover()) {
@@ -237,7 +258,7 @@ impl Run {
         let epoch = if config.world.is_external() { Epoch::unix() } else { Epoch::now() };
         let (epoch_ns, begun_ns) = (epoch.monotonic_ns, crate::clock::now().0);
         let file = RunFile { pid, domain, runtime, epoch_ns, begun_ns, port };
-        let run = Self::from_file(dir, file, config)?;
+        let run = Self { room, ..Self::from_file(dir, file, config)? };
         let guard = DomainGuard::new(run.domain.clone());
         layout::write(run.domain.root()).map_err(RunError::file(run.domain.root()))?;
         run.write_description()?;
@@ -247,8 +268,11 @@ impl Run {
         Ok(Self { _locks: Some(Arc::new([dir_lock, file_lock, folder_lock])), ..run })
     }
 
-    /// Writes `fleet.toml` and `run.json`, by which the fleet's processes and other programs know the run.
+    /// Writes the copy of the room, `fleet.toml` and `run.json`, by which the fleet's processes and other programs know the run.
     fn write_description(&self) -> Result<(), RunError> {
+        if let Some(room) = &self.room {
+            room.write_copy(&self.dir).map_err(RunError::file(&room.copy_in(&self.dir)))?;
+        }
         let toml = self.config.to_toml();
         let path = self.dir.join("fleet.toml");
         formats::atomic::write(&path, |file| file.write_all(toml.as_bytes()))
@@ -286,7 +310,7 @@ impl Run {
         let RunFile { pid, epoch_ns, begun_ns, port, .. } = file;
         let (epoch, begun) = (Epoch { monotonic_ns: epoch_ns }, Monotonic(begun_ns));
         let domain = Domain::new(&file.domain, &file.runtime)?;
-        Ok(Self { dir, pid, domain, epoch, begun, port, config, file, _locks: None })
+        Ok(Self { dir, pid, domain, epoch, begun, port, config, file, room: None, _locks: None })
     }
 
     /// Returns whether the run's launcher is known to be alive.

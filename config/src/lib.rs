@@ -312,7 +312,7 @@ impl FleetConfig {
     /// Returns the room's name, or the source of the world, for people.
     pub fn world_name(&self) -> &str {
         match self.world {
-            RobotSource::Simulator => &self.fleet.room,
+            RobotSource::Simulator => room::name_for_people(&self.fleet.room),
             RobotSource::Headset => "the world of a headset",
             RobotSource::Ros => "a world over ROS 2",
             RobotSource::Robots => "the rooms of other machines",
@@ -351,6 +351,23 @@ impl FleetConfig {
     pub fn configured_starts(&self) -> Option<Vec<Pose2>> {
         let starts = &self.fleet.starts;
         (!starts.is_empty()).then(|| starts.iter().map(|[x, y, yaw]| Pose2::new(*x, *y, *yaw)).collect())
+    }
+
+    /// Takes the robots' starts from a text of three numbers for each robot, as in `[[1.0, 2.0, 0.5]]`: metres, metres, radians. Returns
+    /// false, and changes nothing, if the text has others, or not as many as robots.
+    pub fn set_starts_from_text(&mut self, text: &str) -> bool {
+        let numbers = text.split(['[', ']', ',', ' ']).filter(|part| !part.is_empty());
+        let numbers: Option<Vec<f64>> = numbers.map(|part| part.parse().ok()).collect();
+        let starts = numbers.filter(|numbers| numbers.len() == 3 * self.fleet.robots).map(|numbers| {
+            numbers.chunks_exact(3).map(|start| [start[0], start[1], start[2]]).collect::<Vec<_>>()
+        });
+        let Some(starts) = starts else { return false };
+        let before = std::mem::replace(&mut self.fleet.starts, starts);
+        let is_sound = self.fleet.check().is_ok();
+        if !is_sound {
+            self.fleet.starts = before;
+        }
+        is_sound
     }
 
     /// Formats the configuration as a file with every key. A configuration that [`Self::check`] refuses may give a text that

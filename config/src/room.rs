@@ -1,5 +1,9 @@
 //! The room that a configuration names: built-in, generated, or read from a file.
 
+mod files;
+
+pub use files::{RecordedRoom, RoomFiles, name_for_people, sha256};
+
 use super::LABORATORY;
 use formats::map_file::{self, MapFileError};
 use sim::{Room, RoomError, RoomKind};
@@ -8,6 +12,8 @@ use std::path::{Path, PathBuf};
 
 /// Largest file that is read as a scanned room, bytes.
 const ROOM_BYTES_MAX: u64 = 256 << 20;
+/// Largest image of a map that is read as a room, bytes.
+const IMAGE_BYTES_MAX: u64 = 512 << 20;
 
 /// Reason why a room cannot be loaded.
 #[derive(Debug, thiserror::Error)]

@@ -4,9 +4,11 @@
 //! YAML file gives the meaning of its greys and the pose of its lower left corner. A file holds readings, not
 //! evidence: a loaded occupied cell has [`LOADED_LOG_ODDS`] steps of log-odds, a free one minus as many.
 
+mod held;
 mod image;
 mod picture;
 
+pub use held::MapFiles;
 pub use picture::{Picture, Rgb, encode_grey_png};
 
 use crate::atomic::Prepared;

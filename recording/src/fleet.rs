@@ -156,6 +156,8 @@ pub struct FleetRecording {
     pub duplicates: u64,
     ranges_bytes: usize,
     scan: Box<Scan>,
+    /// Whether the room of the fleet's configuration is the one in which it was recorded.
+    pub has_room: bool,
 }
 
 impl FleetRecording {
@@ -180,6 +182,7 @@ impl FleetRecording {
             duplicates: 0,
             ranges_bytes: 0,
             scan,
+            has_room: true,
         }
     }
 

@@ -9,7 +9,7 @@ mod virtual_time;
 
 use super::fleet_args::{FleetArgs, Starts};
 use super::{Error, output};
-use crate::config::{FleetConfig, RobotSource};
+use crate::config::{FleetConfig, RobotSource, room as room_files};
 use crate::fleet;
 use crate::run::{check_output, lock_folder};
 use crate::stop::Stop;
@@ -97,6 +97,8 @@ struct Experiment {
     link: Link,
     /// The link for people.
     link_name: String,
+    /// Digest of the room's files at the start; `None`: the room has none.
+    room_sha256: Option<String>,
     out: PathBuf,
 }
 
@@ -124,7 +126,8 @@ impl Experiment {
             PathBuf::from("runs").join(format!("{}-experiment", crate::run::folder_name_now()))
         });
         let link_name = args.link.describe(default_link, &link);
-        Ok(Self { args: args.clone(), config, link, link_name, out })
+        let room_sha256 = room_files::sha256(&config.fleet.room)?;
+        Ok(Self { args: args.clone(), config, link, link_name, room_sha256, out })
     }
 
     /// Returns the configuration of a session, whose numbers begin at 1.
@@ -190,6 +193,13 @@ fn run_session(
             return Ok(None);
         }
         check_output(&folder)?;
+        let room = &config.fleet.room;
+        if room_files::sha256(room)? != experiment.room_sha256 {
+            return Err(format!(
+                "room {room}: its files changed during the experiment; expected one room for all sessions"
+            )
+            .into());
+        }
         session::set_aside(&folder)?;
         let seed = config.fleet.seed;
         let left_min = f64::from((of - number + 1) * args.seconds) / 60.0;

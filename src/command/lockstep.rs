@@ -6,6 +6,7 @@ use self::exploration::{ExplorationOutcome, WatchedExploration};
 use super::fleet_args::FleetArgs;
 use super::{Error, output};
 use crate::config::FleetConfig;
+use crate::config::room::{self, RecordedRoom};
 use crate::fleet;
 use crate::lockstep::Lockstep;
 use crate::lockstep::faults::FaultPlan;
@@ -17,6 +18,9 @@ use crate::runtime_folder::Lock;
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;
+use formats::map_file::written_files;
+use formats::overwriting::replaced_input;
+use msg::{ROBOTS_MAX, RobotId};
 use reports::{FleetView, Style};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
@@ -51,6 +55,7 @@ pub struct LockstepArgs {
 /// Runs the fleet, and prints its figures and the hash of all its messages.
 pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let config = simulated_config(args)?;
+    let room_digest = room::sha256(&config.fleet.room)?;
     let _lock = args.run_dir.as_deref().map(lock_run_dir).transpose()?;
     let mut fleet = Lockstep::with_faults(&config, !args.in_turn, draw_faults(args))?;
     let mut checker = Checker::new(&config)?;
@@ -71,9 +76,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
             recording.iter_mut().for_each(|recording| _ = recording.step());
         }
         exploration.iter_mut().for_each(WatchedExploration::end_second);
-        if second % 10 == 9 {
-            output::note(&format!("{} of {} s", second + 1, args.seconds));
-        }
+        note_progress(second + 1, args.seconds);
         if stop.requested() || exploration.as_ref().is_some_and(WatchedExploration::has_ended) {
             break;
         }
@@ -106,6 +109,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     output::print_either(args.json, &report, text)?;
     // What could not be written is no reason to lose the figures.
     written?;
+    check_room_stayed(&config, room_digest.as_deref())?;
     check_end(args, stop, checker, &fleet)
 }
 
@@ -125,6 +129,25 @@ fn check_end(args: &LockstepArgs, stop: &Stop, checker: Checker, fleet: &Lockste
     }
 }
 
+/// Says every ten seconds of the run how far it is.
+fn note_progress(done_s: u32, of_s: u32) {
+    if done_s.is_multiple_of(10) {
+        output::note(&format!("{done_s} of {of_s} s"));
+    }
+}
+
+/// Refuses results that are of two rooms: the room's files changed while the run read them.
+fn check_room_stayed(config: &FleetConfig, digest: Option<&str>) -> Result<(), Error> {
+    let room = &config.fleet.room;
+    match RecordedRoom::compare(room, digest) {
+        RecordedRoom::Changed => {
+            Err(format!("room {room}: its files changed during the run: the results may be of two rooms")
+                .into())
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Draws the faults of the run, and prints them.
 fn draw_faults(args: &LockstepArgs) -> FaultPlan {
     let Some(seed) = args.faults else { return FaultPlan::none() };
@@ -133,13 +156,30 @@ fn draw_faults(args: &LockstepArgs) -> FaultPlan {
     faults
 }
 
-/// Returns the configuration of the fleet; an error if its robots are not simulated.
+/// Returns the configuration of the fleet; an error if its robots are not simulated, or a result would replace its room.
 fn simulated_config(args: &LockstepArgs) -> Result<FleetConfig, Error> {
     let config = args.fleet.config()?;
     if config.world.is_external() {
         return Err("lockstep simulates its own world; expected world = \"simulator\"".into());
     }
+    check_room_stays(args, &config)?;
     Ok(config)
+}
+
+/// Refuses a folder whose results, which the run replaces, are the run's room.
+fn check_room_stays(args: &LockstepArgs, config: &FleetConfig) -> Result<(), Error> {
+    let Some(dir) = &args.run_dir else { return Ok(()) };
+    let robots = RobotId::first(ROBOTS_MAX).map(|robot| format!("{robot}_map"));
+    let maps = robots.chain(["merged_map".into()]).map(|name| dir.join(name));
+    let results: Vec<_> = maps.flat_map(|stem| written_files(&stem)).collect();
+    match replaced_input(&results, &room::files(&config.fleet.room)) {
+        Some(path) => Err(format!(
+            "{}: is the room, and a result of the run would replace it; expected another --run-dir, or a copy of the map",
+            path.display()
+        )
+        .into()),
+        None => Ok(()),
+    }
 }
 
 /// Creates and locks the folder of the results, before the run: a folder that cannot be written, or in which a fleet runs, is

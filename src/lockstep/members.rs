@@ -46,6 +46,8 @@ pub struct World {
     pub port: Rc<Port>,
     /// What the robots send, if they are not simulated.
     pub recording: Option<Rc<FleetRecording>>,
+    /// Whether the room is known, with which maps are compared.
+    pub has_room: bool,
     /// Whether recorded robots send their links' transforms, too.
     pub sends_transforms: bool,
 }
@@ -254,7 +256,8 @@ impl Body {
                 Self::Merge(Box::new((process, GraphWorker::open(&ports[1], run, state)?)))
             }
             Role::Telemetry => {
-                let worker = ImmediateJobs(MapWorker::new(run, cached_room_plan(&run.config)?)?);
+                let plan = if world.has_room { cached_room_plan(&run.config)? } else { None };
+                let worker = ImmediateJobs(MapWorker::new(run, plan)?);
                 Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run, worker, Duration::ZERO)?))
             }
             Role::Nav => {

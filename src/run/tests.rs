@@ -1,6 +1,7 @@
 //! Tests of creating and attaching to runs.
 
 use super::*;
+use crate::config::room;
 use std::os::unix::fs::PermissionsExt;
 
 #[test]
@@ -36,6 +37,31 @@ fn a_run_that_cannot_be_described_leaves_nothing_in_shared_memory() {
         .filter(|name| name.starts_with(&own) && name.ends_with("_ipc"))
         .collect();
     assert!(left.is_empty(), "{left:?}");
+}
+
+#[test]
+fn a_runs_processes_read_the_room_of_its_start_whatever_becomes_of_the_files() {
+    let (maps, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let room = maps.path().join("hall.obj");
+    let box_of_walls = "v 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 0\nv 0 0 2\nv 4 0 2\nv 4 4 2\nv 0 4 2\n\
+                        f 1 2 3 4\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+    fs::write(&room, box_of_walls).unwrap();
+    let mut config = FleetConfig::default();
+    config.fleet.room = room.display().to_string();
+    let digest = room::sha256(&config.fleet.room).unwrap();
+    let run = Run::create(folder.path(), config, 0, false).unwrap();
+    let _guard = DomainGuard::new(run.domain.clone());
+    assert_eq!(run.config.world_name(), "hall.obj");
+    fs::write(&room, "v 0 0 0\n").unwrap();
+    let of_process = |run: &Run| Run::open(&run.dir).unwrap().config.fleet.room;
+    assert_eq!(room::sha256(&of_process(&run)).unwrap(), digest);
+    room::load(&of_process(&run)).map(drop).unwrap();
+    // The folder that is made again has the room, too.
+    let real = run.dir.clone();
+    fs::rename(&real, real.with_extension("moved")).unwrap();
+    restore_folder(&run).unwrap().unwrap();
+    assert_eq!(room::sha256(&of_process(&run)).unwrap(), digest);
+    fs::remove_dir_all(real.with_extension("moved")).unwrap();
 }
 
 #[test]

@@ -35,6 +35,9 @@ pub struct Settings {
     pub version: String,
     /// Configuration of the fleet, as TOML.
     pub config: String,
+    /// Digest of the room's files; `None`: the room has none.
+    #[serde(default)]
+    pub room_sha256: Option<String>,
 }
 
 impl Settings {
@@ -47,6 +50,7 @@ impl Settings {
             link: experiment.link_name.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             config: config.to_toml(),
+            room_sha256: experiment.room_sha256.clone(),
         }
     }
 }
@@ -87,6 +91,12 @@ impl Session {
         let text =
             formats::limited::read_text(&path, FILE_BYTES_MAX).map_err(|why| named(why.to_string()))?;
         let session: Self = serde_json::from_str(&text).map_err(|why| named(why.to_string()))?;
+        let room_sha256 = settings.room_sha256.clone();
+        if session.settings.room_sha256 != room_sha256
+            && (Settings { room_sha256, ..session.settings.clone() }) == *settings
+        {
+            return Err(named("a session in a room whose files had another content".into()).into());
+        }
         if session.settings != *settings {
             return Err(named("a session with other settings".into()).into());
         }

@@ -3,8 +3,9 @@
 use super::{ReplayArgs, ReplayError, log_files, player, serve};
 use crate::command::output;
 use crate::config::FleetConfig;
+use crate::config::room::RecordedRoom;
 use crate::lockstep::Lockstep;
-use crate::process::record::description::{CONFIGURATION, EPOCH};
+use crate::process::record::description::{CONFIGURATION, EPOCH, ROOM_SHA256, STARTS};
 use crate::process::record::{PLANAR_ODOMETRY, map_hash};
 use crate::stop::Stop;
 use formats::bag_folder::files_of;
@@ -44,14 +45,17 @@ fn bag_error(path: &Path, why: recording::ReadError) -> ReplayError {
 /// Replays the files of one recording, writes the requested maps and prints figures and the hash of the maps.
 pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
     let begun = Instant::now();
-    let (recording, missing) = read(&args.logs, config)?;
-    let config = &with_known_starts(config, &recording);
+    let (mut recording, missing) = read(&args.logs, config)?;
+    let (config, room) = with_recorded_room(&args.logs[0], config)?;
+    recording.has_room = room.is_usable();
+    let config = &with_known_starts(&config, &recording);
     let begins_s = recording.begins().seconds();
     let seconds = recording.ends().seconds() - begins_s;
     let figures = Figures {
         seconds,
         malformed: recording.malformed + recording.left_out,
         missing: &missing,
+        room,
         times_real_time: None,
     };
     if args.serving.serve {
@@ -78,13 +82,15 @@ struct Figures<'a> {
     malformed: u64,
     /// What of the recording is missing.
     missing: &'a Missing,
+    /// Whether the room's files are those of the recorded run.
+    room: RecordedRoom,
     /// Speed of the replay; `None`: it was one for people.
     times_real_time: Option<f64>,
 }
 
 /// Writes the requested maps and prints figures and hash.
 fn finish(args: &ReplayArgs, fleet: &mut Lockstep, figures: &Figures<'_>) -> Result<(), ReplayError> {
-    let Figures { seconds, malformed, missing, times_real_time } = figures;
+    let Figures { seconds, malformed, missing, room, times_real_time } = figures;
     let hash = map_hash(fleet.maps());
     if let Some(path) = &args.map {
         // The merged map under this name, and each robot's beside it.
@@ -97,7 +103,7 @@ fn finish(args: &ReplayArgs, fleet: &mut Lockstep, figures: &Figures<'_>) -> Res
     let view = FleetView::new(fleet.stats()).with_edges(fleet.merge_edges());
     let summary = serde_json::json!({
         "maps_sha256": hash, "seconds": seconds, "malformed_messages": malformed, "damage": missing.damages, "gaps": missing.gaps,
-        "times_real_time": times_real_time, "fleet": view,
+        "times_real_time": times_real_time, "room": room, "fleet": view,
     });
     let text = || {
         let times = times_real_time.map_or(String::new(), |times| format!("{times:.0} times real time, "));
@@ -107,6 +113,30 @@ fn finish(args: &ReplayArgs, fleet: &mut Lockstep, figures: &Figures<'_>) -> Res
         )
     };
     Ok(output::print_either(args.json, &summary, text)?)
+}
+
+/// Returns the configuration with the robots' starts of the recording, and whether the room's files are those of the recorded run;
+/// says it where they are not.
+///
+/// # Errors
+/// The recording cannot be read, or its room is not there and it does not say where the robots started.
+fn with_recorded_room(path: &Path, config: &FleetConfig) -> Result<(FleetConfig, RecordedRoom), ReplayError> {
+    let mut reader = open(&files_of(path)?[0])?;
+    reader.next_message().map_err(|why| bag_error(path, why))?;
+    let recorded = |key| reader.metadata(METADATA).and_then(|metadata| metadata.get(key));
+    let mut config = config.clone();
+    let room = RecordedRoom::compare(&config.fleet.room, recorded(ROOM_SHA256).map(String::as_str));
+    room.note(&config.fleet.room).iter().for_each(|note| output::note(note));
+    if config.fleet.starts.is_empty() {
+        let is_known = recorded(STARTS).is_some_and(|text| config.set_starts_from_text(text));
+        if !is_known && !room.is_usable() {
+            return Err(ReplayError::Replay(
+                "the recording does not say where the robots started; expected the room of the recorded run"
+                    .into(),
+            ));
+        }
+    }
+    Ok((config, room))
 }
 
 /// Returns the configuration, without the robots' starts if the recording begins after them: each robot's map then begins where

@@ -1,5 +1,7 @@
 //! What a recording is of: the metadata at the beginning of each file.
 
+use crate::config::{RobotSource, room};
+use crate::fleet;
 use crate::run::Run;
 use recording::{METADATA, RecordingReader};
 use std::collections::BTreeMap;
@@ -12,9 +14,23 @@ pub const CONFIGURATION: &str = "configuration";
 /// Key of the time of stamp 0, nanoseconds of CLOCK_MONOTONIC.
 pub const EPOCH: &str = "epoch_monotonic_ns";
 
-/// Describes a run: configuration, room, seed, version and machine.
+/// Key of the digest of the room's files; missing for a room without files.
+pub const ROOM_SHA256: &str = "room_sha256";
+/// Key of the simulated robots' starts in the room: x and y in metres and yaw in radians of each robot.
+pub const STARTS: &str = "starts";
+
+/// Describes a run: configuration, room with its digest, starts, seed, version and machine.
 pub fn of_run(run: &Run) -> BTreeMap<String, String> {
     let config = &run.config;
+    let is_simulated = config.world == RobotSource::Simulator;
+    // A room that cannot be read any more says nothing.
+    let digest = is_simulated.then(|| room::sha256(&config.fleet.room).ok().flatten()).flatten();
+    let starts = || fleet::room(config).and_then(|room| fleet::starts(config, &room)).ok();
+    let starts = is_simulated.then(starts).flatten().map(|starts| {
+        let starts: Vec<_> = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
+        format!("{starts:?}")
+    });
+    let of_room = [digest.map(|digest| (ROOM_SHA256, digest)), starts.map(|starts| (STARTS, starts))];
     let entries = [
         (CONFIGURATION, config.to_toml()),
         ("robots", config.fleet.robots.to_string()),
@@ -24,7 +40,11 @@ pub fn of_run(run: &Run) -> BTreeMap<String, String> {
         ("machine", machine()),
         (EPOCH, run.epoch.monotonic_ns.to_string()),
     ];
-    entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+    entries
+        .into_iter()
+        .chain(of_room.into_iter().flatten())
+        .map(|(key, value)| (key.to_owned(), value))
+        .collect()
 }
 
 /// Returns whether a file says that it is of another run; one that cannot be read does not.
