@@ -128,8 +128,7 @@ impl ClosureDetector {
         self.config.closures.enabled && far
     }
 
-    /// Searches for a node among other places; `relative` is the uncertainty of every node as seen
-    /// from it.
+    /// Searches for a node among other places; `relative` is the uncertainty of every node as seen from it.
     pub fn search(
         &mut self,
         view: &GraphView<'_>,
@@ -187,8 +186,8 @@ impl ClosureDetector {
         self.counts.unconfirmed += (before - self.pending.len()) as u64;
     }
 
-    /// Nearest nodes of up to [`PASSES_MAX`] earlier passes that may be here, given what is known.
-    /// Only nodes of the same component count: an unplaced one may be anywhere.
+    /// Nearest nodes of up to [`PASSES_MAX`] earlier passes that may be here, given what is known. Only nodes of the same component count:
+    /// an unplaced one may be anywhere.
     fn candidates(
         &self,
         view: &GraphView<'_>,
@@ -329,8 +328,10 @@ impl ClosureDetector {
         }
         let limits =
             SearchLimits { score_min: c.response_min, evaluations_max: c.evaluations_max, excluded: None };
-        let Some(peak) = self.field.search(&points, window, &limits, &mut self.scratch) else {
-            self.counts.below_min_response += 1;
+        let best = self.field.search(&points, window, &limits, &mut self.scratch);
+        let Some(peak) = best.peak.filter(|_| !best.given_up) else {
+            self.counts.ambiguous += u64::from(best.given_up);
+            self.counts.below_min_response += u64::from(!best.given_up);
             return None;
         };
         let elsewhere = SearchLimits {
@@ -339,7 +340,7 @@ impl ClosureDetector {
             ..limits
         };
         let other = self.field.search(&points, window, &elsewhere, &mut self.scratch);
-        if peak.given_up || other.is_some() {
+        if other.given_up || other.peak.is_some() {
             self.counts.ambiguous += 1;
             return None;
         }

@@ -75,7 +75,14 @@ pub struct SearchPeak {
     pub pose: Pose2,
     /// Mean field value under the points, 0 to 1, less the penalty for the distance from the prediction.
     pub score: f32,
-    /// Whether the search stopped at `evaluations_max`; the pose is then the best so far.
+}
+
+/// What a search of a window found.
+#[derive(Clone, Copy, Debug)]
+pub struct SearchOutcome {
+    /// The best pose, if one scored enough; the best so far if the search has given up.
+    pub peak: Option<SearchPeak>,
+    /// Whether the search stopped at `evaluations_max`: a better pose, or the only one, may not have been found.
     pub given_up: bool,
 }
 
@@ -149,9 +156,9 @@ impl LikelihoodField {
         window: &SearchWindow,
         limits: &SearchLimits,
         scratch: &mut SearchBuffers,
-    ) -> Option<SearchPeak> {
+    ) -> SearchOutcome {
         if points.is_empty() {
-            return None;
+            return SearchOutcome { peak: None, given_up: false };
         }
         let radius = points.iter().map(|p| p[0].hypot(p[1])).fold(0.0, f32::max).clamp(1.0, RADIUS_MAX_M);
         let step_rad = f64::from(self.cell_m / radius);
@@ -184,7 +191,8 @@ impl LikelihoodField {
         }
         let given_up = search.evaluations > limits.evaluations_max;
         let (best, score) = (search.best, search.best_score);
-        best.map(|c| SearchPeak { pose: self.pose_of(window, c, step_rad), score, given_up })
+        let peak = best.map(|c| SearchPeak { pose: self.pose_of(window, c, step_rad), score });
+        SearchOutcome { peak, given_up }
     }
 
     fn pose_of(&self, window: &SearchWindow, c: Candidate, step_rad: f64) -> Pose2 {

@@ -175,7 +175,8 @@ impl OdometryBuffer {
     }
 
     /// The robot's pose in the continuous frame of [`OdometryBuffer::continuous_from_odom`] at a stamp: interpolated, or
-    /// extrapolated at the last speed for up to `odometry.extrapolation_max_s`. `None` outside.
+    /// extrapolated at the last speed for up to `odometry.extrapolation_max_s`. `None` outside, and where no message is that near: between
+    /// two messages far apart the robot may have driven anywhere.
     pub fn at(&self, stamp: Stamp) -> Option<Pose2> {
         if !self.config.used {
             return None;
@@ -183,7 +184,10 @@ impl OdometryBuffer {
         let after = self.poses.partition_point(|o| o.header.stamp < stamp);
         match (after.checked_sub(1).map(|i| &self.poses[i]), self.poses.get(after)) {
             (_, Some(b)) if b.header.stamp == stamp => Some(b.continuous_from_base),
-            (Some(a), Some(b)) => Some(interpolate(a, b, stamp)),
+            (Some(a), Some(b)) => {
+                let nearest_s = (stamp - a.header.stamp).min(b.header.stamp - stamp);
+                (nearest_s <= self.config.extrapolation_max_s).then(|| interpolate(a, b, stamp))
+            }
             (Some(a), None) => extrapolate(a, stamp - a.header.stamp, self.config.extrapolation_max_s),
             (None, _) => None,
         }
@@ -252,6 +256,15 @@ mod tests {
         assert_eq!([silence_s(0.5, 6.5), silence_s(5.0, 9.0), silence_s(-3.0, 5.0)], [3.0, 3.0, 4.0]);
         assert_eq!(silence_s(7.0, 9.0), 2.0);
         assert_eq!(buffer_of(&[], 8).longest_silence_s(at(0.0), at(9.0)), 9.0);
+    }
+
+    #[test]
+    fn the_pose_in_a_long_gap_is_known_near_its_ends_alone() {
+        let buffer = buffer_of(&[1.0, 1.5, 4.0], 8);
+        let known =
+            |stamps_s: &[f64]| stamps_s.iter().map(|s| buffer.at(at(*s)).is_some()).collect::<Vec<_>>();
+        assert_eq!(known(&[1.0, 1.25, 1.5, 1.75, 3.75, 4.0, 4.25]), [true; 7]);
+        assert_eq!(known(&[0.9, 1.9, 2.7, 3.6, 4.4]), [false; 5]);
     }
 
     #[test]

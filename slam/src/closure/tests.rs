@@ -1,10 +1,12 @@
 //! A robot that believes to be back in a hall: it is, or it stands in another one that looks much the same.
 
-use super::{ClosureDetector, ClosureSearchResult, GraphView};
+use super::{ClosureDetector, ClosureSearchResult, GraphView, SAME_PLACE_M, SAME_PLACE_RAD};
 use crate::common::{FULL, Lidar, Noise, Wall, cast, rectangle};
 use crate::config::SlamConfig;
 use crate::graph::Graph;
+use crate::likelihood_field::SearchLimits;
 use crate::node::Node;
+use crate::point_transform::PointTransform;
 use crate::testing::standing_node;
 use msg::{Pose2, Stamp};
 
@@ -124,4 +126,45 @@ fn a_hall_of_the_same_walls_that_scans_contradict_is_not_taken_for_the_first() {
     }
     // The walls alone look right: it is the scans that contradict.
     assert!(detector.counts().contradicted > 0, "{:?}", detector.counts());
+}
+
+#[test]
+fn a_place_is_not_unique_when_the_search_for_a_second_one_gives_up() {
+    let passes = Passes::new(&hall(), &[(hall(), 0.4)]);
+    let node = PASS_NODES + BETWEEN_NODES + 9;
+    let graph = Graph::from_parts(passes.config.graph.clone(), passes.poses[..=node].to_vec(), Vec::new());
+    let view = GraphView { nodes: &passes.nodes[..=node], graph: &graph };
+    let mut config = passes.config.clone();
+    // All points are compared.
+    config.closures.query_points_max = 100_000;
+    let mut detector = ClosureDetector::new(config);
+    let query = detector.query(&view, node as u32);
+    detector.chain(&view, 9, &query);
+    let window = detector.window(&graph, None, 9, node as u32);
+    let points: Vec<[f32; 2]> = query
+        .iter()
+        .flat_map(|(node, pose)| {
+            let transform = PointTransform::new(*pose);
+            node.cloud.points().iter().map(move |point| transform.point(point.at))
+        })
+        .collect();
+    let mut second_gave_up = 0;
+    for (ratio, power) in [0.9, 0.8, 0.7, 0.6, 0.5].into_iter().flat_map(|r| (6..28).map(move |p| (r, p))) {
+        let limit = 1.5_f64.powi(power) as usize;
+        detector.config.closures.ambiguity_ratio_max = ratio;
+        detector.config.closures.evaluations_max = limit;
+        let score_min = detector.config.closures.response_min;
+        let limits = SearchLimits { score_min, evaluations_max: limit, excluded: None };
+        let mut search = |limits| detector.field.search(&points, &window, &limits, &mut detector.scratch);
+        let first = search(limits);
+        let Some(peak) = first.peak.filter(|_| !first.given_up) else { continue };
+        let excluded = Some((peak.pose, SAME_PLACE_M, SAME_PLACE_RAD));
+        let second = search(SearchLimits { score_min: peak.score * ratio, excluded, ..limits });
+        second_gave_up += u32::from(second.given_up && second.peak.is_none());
+        let ambiguous = detector.counts().ambiguous;
+        let is_unique = !second.given_up && second.peak.is_none();
+        assert_eq!(detector.correlate(&query, &window).is_some(), is_unique, "{limit} evaluations");
+        assert_eq!(detector.counts().ambiguous - ambiguous, u64::from(!is_unique), "{limit} evaluations");
+    }
+    assert!(second_gave_up > 0, "the case was met");
 }

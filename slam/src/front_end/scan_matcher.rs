@@ -164,7 +164,7 @@ impl ScanMatcher {
         let limits =
             SearchLimits { score_min: RESPONSE_MIN, evaluations_max: EVALUATIONS_MAX, excluded: None };
         let older = &self.local_maps[0].field;
-        older.search(&self.points, &window, &limits, &mut self.buffers).map(|peak| peak.pose)
+        older.search(&self.points, &window, &limits, &mut self.buffers).peak.map(|peak| peak.pose)
     }
 
     /// Aligns the scan with the references, with the prediction as a prior unless the scan clearly contradicts it.
