@@ -13,6 +13,10 @@
 //! Lines of other kinds are skipped and counted. A malformed line is an error that names the line, the field
 //! and what was expected; the lines after it are still read.
 
+mod stray;
+
+pub use stray::StrayFilter;
+
 use core::f64::consts::{FRAC_PI_2, PI};
 use msg::{BEAMS_MAX, Pose2, Scan, Stamp};
 

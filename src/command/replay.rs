@@ -285,8 +285,8 @@ fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed
         summary.scan_ms = Percentiles::of(core::mem::take(&mut feeder.times));
         summary.back_end_ms = Percentiles::of(back_end.join().unwrap_or_default());
     });
-    (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.skipped());
     summary.count_log(log);
+    summary.count_records(&records);
     summary.count(&front, &back);
     Ok(Replayed { front, back, localized, summary, started, ended })
 }

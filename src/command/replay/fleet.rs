@@ -283,8 +283,7 @@ impl Merged {
             let trajectory: Vec<_> = robot.back.trajectory_with_places(robot.front.samples()).collect();
             robot.summary.set_end(trajectory.last());
             robot.summary.error = TrajectoryError::of_placed(&trajectory, robot.truth);
-            (robot.summary.malformed_lines, robot.summary.skipped_lines) =
-                (robot.records.malformed, robot.records.skipped());
+            robot.summary.count_records(&robot.records);
             let place = self.fleet.map_from_robot_map(robot.id);
             RobotSummary {
                 merged: place.is_some(),

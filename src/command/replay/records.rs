@@ -3,7 +3,7 @@
 use super::{ReplayArgs, ReplayError, log_files, recorded_fleet};
 use crate::command::output;
 use formats::bag_folder::{refuse_file_of_other_formats, refuse_other_formats};
-use formats::carmen::{LaserLine, Reader, Record};
+use formats::carmen::{LaserLine, Reader, Record, StrayFilter};
 use formats::gzip;
 use msg::{Pose2, Scan, Stamp};
 use recording::ScanGaps;
@@ -179,7 +179,9 @@ impl Log {
     /// Returns the scans.
     pub fn records(&self) -> Records<'_> {
         match self {
-            Self::Carmen(bytes) => Records { source: Source::Carmen(Reader::new(bytes)), malformed: 0 },
+            Self::Carmen(bytes) => {
+                Records { source: Source::Carmen(Reader::new(bytes), StrayFilter::default()), malformed: 0 }
+            }
             Self::Recording(scans) => Records {
                 source: Source::Scans(scans.bag.scans.iter(), scans.bag.base_from_scan),
                 malformed: scans.bag.left_out.malformed,
@@ -316,38 +318,52 @@ pub struct Records<'a> {
 }
 
 enum Source<'a> {
-    Carmen(Reader<'a>),
+    Carmen(Reader<'a>, StrayFilter<LaserLine>),
     Scans(std::slice::Iter<'a, BagScan>, Pose2),
 }
 
 impl Records<'_> {
     /// Returns the next scan. Scan lines carry the odometry at which they were taken, so ODOM lines add nothing.
     pub fn next_laser(&mut self) -> Option<LogScan> {
-        let reader = match &mut self.source {
-            Source::Scans(scans, base_from_scan) => {
-                return scans.next().map(|scan| log_scan(scan, *base_from_scan));
+        match &mut self.source {
+            Source::Scans(scans, base_from_scan) => scans.next().map(|scan| log_scan(scan, *base_from_scan)),
+            Source::Carmen(reader, filter) => {
+                let line = filter.next(|| next_line(reader, &mut self.malformed), |line| line.stamp)?;
+                Some(LogScan { line, details: None })
             }
-            Source::Carmen(reader) => reader,
-        };
-        loop {
-            match reader.next()? {
-                Ok(Record::Laser(line)) => return Some(LogScan { line, details: None }),
-                Ok(Record::Odometry(_)) => {}
-                Err(error) => {
-                    self.malformed += 1;
-                    if self.malformed as usize <= ERRORS_SHOWN {
-                        output::note(&format!("{error}; line skipped"));
-                    }
-                }
-            }
+        }
+    }
+
+    /// Returns the number of scans of a CARMEN log so far whose stamps are in the far future of those after them.
+    pub fn stray_stamps(&self) -> u64 {
+        match &self.source {
+            Source::Carmen(_, filter) => filter.left_out(),
+            // Reading a bag leaves them out.
+            Source::Scans(..) => 0,
         }
     }
 
     /// Returns the number of lines of other kinds so far.
     pub fn skipped(&self) -> u64 {
         match &self.source {
-            Source::Carmen(reader) => reader.skipped(),
+            Source::Carmen(reader, _) => reader.skipped(),
             Source::Scans(..) => 0,
+        }
+    }
+}
+
+/// Returns the next scan line, and counts malformed lines before it.
+fn next_line(reader: &mut Reader<'_>, malformed: &mut u64) -> Option<LaserLine> {
+    loop {
+        match reader.next()? {
+            Ok(Record::Laser(line)) => return Some(line),
+            Ok(Record::Odometry(_)) => {}
+            Err(error) => {
+                *malformed += 1;
+                if *malformed as usize <= ERRORS_SHOWN {
+                    output::note(&format!("{error}; line skipped"));
+                }
+            }
         }
     }
 }

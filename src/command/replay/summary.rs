@@ -1,6 +1,7 @@
 //! Summary of a replay, for people and for programs.
 
-use super::records::Log;
+use super::records::{Log, Records};
+use crate::command::output;
 use msg::{Pose2, Stamp};
 use recording::ScanGaps;
 use recording::bag::LeftOut;
@@ -117,6 +118,9 @@ impl Summary {
                 "  left out  {rejected} scans whose stamps repeat or go back, or whose geometry is wrong\n"
             );
         }
+        if s.left_out.stray_stamps > 0 {
+            text += &format!("  left out  {} scans whose single stamps are wrong\n", s.left_out.stray_stamps);
+        }
         if s.not_deskewed > 0 {
             text += &format!(
                 "  skewed    {} scans whose time increment is implausible, or during which the motion is unknown\n",
@@ -178,6 +182,19 @@ impl Summary {
         self.left_out = log.left_out();
         self.gaps = log.gaps();
         self.damage = log.damage().map(str::to_owned);
+    }
+
+    /// Counts what reading the scans has left out, and says it.
+    pub(super) fn count_records(&mut self, records: &Records<'_>) {
+        (self.malformed_lines, self.skipped_lines) = (records.malformed, records.skipped());
+        let stray = records.stray_stamps();
+        self.left_out.stray_stamps += stray;
+        if stray > 0 {
+            output::note(&format!(
+                "{}: {stray} scans are left out: their stamps are more than a second later than those of the scans after them",
+                self.log
+            ));
+        }
     }
 
     /// Copies the counters of front end and back end.

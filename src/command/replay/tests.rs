@@ -78,6 +78,23 @@ fn malformed_lines_are_counted() {
 }
 
 #[test]
+fn a_scan_stamped_in_the_far_future_is_left_out_and_counted_and_the_others_are_used() {
+    let log = log();
+    let stamp = |step: usize| format!("976052890.24411{step}");
+    let scans = || (0..9).filter(|step| log.contains(&stamp(*step)));
+    assert_eq!(scans().count(), 9);
+    for step in [0, 4, 7] {
+        let changed = log.replace(&stamp(step), &format!("976053890.24411{step}"));
+        let replayed =
+            feed(&Log::Carmen(changed.into_bytes()), SlamConfig::default(), &args(Path::new("box.log")));
+        let summary = replayed.unwrap().summary;
+        assert_eq!((summary.scans, summary.left_out.stray_stamps, summary.rejected()), (8, 1, 0), "{step}");
+        assert!(serde_json::to_value(&summary).unwrap()["left_out"]["stray_stamps"] == 1);
+        assert!(summary.text().contains("1 scans whose single stamps"));
+    }
+}
+
+#[test]
 fn a_log_without_scans_says_what_was_expected() {
     let error =
         feed(&Log::Carmen(b"ODOM 1 2\nhello\n".to_vec()), SlamConfig::default(), &args(Path::new("x.log")));
