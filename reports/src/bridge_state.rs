@@ -27,6 +27,9 @@ pub struct BridgeState {
     pub room_offer: Option<RoomOffer>,
     /// What is known of each robot's battery, robot1's first; `None`: the robot has sent nothing.
     pub batteries: Vec<Option<BatteryStatus>>,
+    /// Which of this state is not in the run's files, why, and what follows from it at a restart; `None`: all is saved, as far as is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_saved: Option<String>,
 }
 
 impl BridgeState {
@@ -103,6 +106,9 @@ impl BridgeState {
         if self.stopped {
             text += "EMERGENCY STOP is set: robots do not move until `mr-slam release`\n";
         }
+        if let Some(why) = &self.not_saved {
+            text += &format!("NOT SAVED: {why}\n");
+        }
         for client in &self.clients {
             let ClientStatus { address, subscriptions, publications, waiting_bytes, dropped, .. } = client;
             text += &format!(
@@ -176,6 +182,8 @@ mod tests {
         let room_offer = Some(RoomOffer { address: [10, 0, 0, 9].into(), bytes: 400_000 });
         let lines = BridgeState { room_offer, ..BridgeState::default() }.table();
         assert!(lines.contains("10.0.0.9 offers its room as the world: mr-slam room accept, or refuse\n"));
+        let not_saved = Some("no room".into());
+        assert!(BridgeState { not_saved, ..BridgeState::default() }.table().contains("NOT SAVED: no room"));
         assert!(
             BridgeState { stopped: true, ..BridgeState::default() }.table().contains("EMERGENCY STOP is set")
         );

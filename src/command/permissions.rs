@@ -100,6 +100,16 @@ pub enum PermissionError {
         /// What is so instead.
         why: String,
     },
+    /// It holds now, but a bridge that is started again may not know it.
+    #[error("run {run}: {done}; but it is NOT SAVED: {why}")]
+    NotSaved {
+        /// Folder of the run.
+        run: String,
+        /// What holds now.
+        done: String,
+        /// What is not in the files, why, and what follows from it at a restart.
+        why: String,
+    },
     /// The answer cannot be written to standard output.
     #[error("cannot print the answer: {0}")]
     Print(#[from] std::io::Error),
@@ -154,6 +164,9 @@ pub fn deny(args: &DenyArgs) -> Result<(), PermissionError> {
         Ok(()) => PermissionError::DeniedLater { address, error: Box::new(error) },
         Err(_) => error,
     })?;
+    if written.is_err() {
+        check_saved(&run, &bridge, &format!("{address} may not drive"))?;
+    }
     let text = || format!("{address} may not drive (run {})\n", run.dir.display());
     Ok(output::print_either(args.common.json, &Answer { run: &run.dir, bridge: &bridge }, text)?)
 }
@@ -161,6 +174,7 @@ pub fn deny(args: &DenyArgs) -> Result<(), PermissionError> {
 fn change(args: &StopArgs, request: Request, done: &str) -> Result<(), PermissionError> {
     let run = args.run.open_to_change()?;
     let bridge = ask(&run, request)?;
+    check_saved(&run, &bridge, done)?;
     let text = || format!("{done} (run {})\n", run.dir.display());
     Ok(output::print_either(args.json, &Answer { run: &run.dir, bridge: &bridge }, text)?)
 }
@@ -182,6 +196,12 @@ fn list(args: &StopArgs) -> Result<(), PermissionError> {
         text
     };
     Ok(output::print_either(args.json, &Answer { run: &run.dir, bridge: &bridge }, text)?)
+}
+
+/// Returns an error if what was done is not in the files of the run.
+fn check_saved(run: &Run, bridge: &BridgeState, done: &str) -> Result<(), PermissionError> {
+    let Some(why) = bridge.not_saved.clone() else { return Ok(()) };
+    Err(PermissionError::NotSaved { run: run.dir.display().to_string(), done: done.into(), why })
 }
 
 /// Sends a request to a run's bridge, and waits for one that is being started.

@@ -31,6 +31,9 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 /// Period at which the stop's file is read. `mr-slam stop` asks the bridge as well; the file counts if that fails.
 const STOP_FILE_POLL_PERIOD: Duration = Duration::from_millis(200);
 
+/// What is said of a request that was done, and that the thread of the files has no room for.
+const NOT_IN_FILES: &str = "a restarted bridge may not know it";
+
 /// A request was not done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum RequestError {
@@ -58,6 +61,8 @@ pub struct Control<W> {
     poll_due: Monotonic,
     /// Number of stops found in the files that the bridge has set.
     stops_applied: u64,
+    /// Why the newest update is not in the files, if it is not.
+    not_saved: Option<String>,
 }
 
 /// Applies to the bridge what the files of its run say, and returns them.
@@ -80,6 +85,7 @@ impl<W: FileWorker> Control<W> {
             submitted: None,
             poll_due: Monotonic(0),
             stops_applied: 0,
+            not_saved: None,
         }
     }
 
@@ -119,7 +125,8 @@ impl<W: FileWorker> Control<W> {
     }
 
     fn apply_report(&mut self, report: &FileReport) {
-        if report.result.is_err() {
+        self.not_saved = report.result.as_ref().err().map(ToString::to_string);
+        if self.not_saved.is_some() {
             // What could not be written is tried again at once.
             self.submitted = None;
         }
@@ -159,56 +166,61 @@ impl<W: FileWorker> Control<W> {
             clients: self.bridge.clients(now),
             room_offer: self.bridge.room_offer(),
             batteries: self.bridge.batteries(now),
+            not_saved: self.not_saved.clone(),
         }
     }
 }
 
-/// Applies a request and returns the state after it. A stop is set before anything else; other changes wait for the disk.
+/// Applies a request and returns the state after it. A stop is set before anything else; other changes wait for the disk. What was
+/// done and could not be saved is in [`BridgeState::not_saved`].
 pub async fn answer<W: FileWorker>(
     control: &RefCell<Control<W>>,
     request: Request,
     clock: impl Fn() -> Monotonic,
 ) -> Reply {
-    change(control, request, &clock).await.map_err(|why| why.to_string())?;
+    let mut unsaved: Vec<String> = change(control, request, &clock)
+        .await
+        .map_err(|why| why.to_string())?
+        .map(|busy| format!("{NOT_IN_FILES}: {busy}"))
+        .into_iter()
+        .collect();
     if let Request::Allow(address) | Request::Deny(address) = request {
         let may_drive = matches!(request, Request::Allow(_));
         let report = control.borrow_mut().files.submit(FileJob::Remember { address, may_drive });
         let result = report
             .await
             .map_or_else(|_| Err(io::Error::other(RequestError::DiskBusy)), |report| report.result);
-        result.map_err(|why| format!("done, but not for later: {why}"))?;
+        let after = if may_drive { "may ask for its permission again" } else { "may drive" };
+        unsaved.extend(result.err().map(|why| format!("{why}; after a restart {address} {after}")));
     }
-    Ok(control.borrow().bridge_state(clock()))
+    let mut state = control.borrow().bridge_state(clock());
+    unsaved.extend(state.not_saved.take());
+    state.not_saved = (!unsaved.is_empty()).then(|| unsaved.join("; "));
+    Ok(state)
 }
 
+/// Applies a request. Returns why its outcome is not in the files if nobody could write them; what the disk refused is in
+/// [`Control::not_saved`].
+///
+/// Errors: the request is not applied.
 async fn change<W: FileWorker>(
     control: &RefCell<Control<W>>,
     request: Request,
     clock: impl Fn() -> Monotonic,
-) -> Result<(), RequestError> {
+) -> Result<Option<RequestError>, RequestError> {
     match request {
-        Request::State => Ok(()),
-        Request::Stop => {
-            control.borrow().apply(request, clock())?;
-            // It is set; that it does not outlive the bridge is said where it is written.
-            let _ = save(control, clock()).await;
-            Ok(())
-        }
+        Request::State => return Ok(None),
         // Nobody drives on, or keeps a connection, while the disk is slow.
-        Request::Deny(_) | Request::Drop(_) => {
-            control.borrow().apply(request, clock())?;
-            save(control, clock()).await
-        }
-        _ => {
-            // What was written on the disk before this request comes first.
-            save(control, clock()).await?;
-            control.borrow().apply(request, clock())?;
-            save(control, clock()).await
-        }
+        Request::Stop | Request::Deny(_) | Request::Drop(_) => {}
+        // What was written on the disk before this request comes first.
+        _ => save(control, clock()).await?,
     }
+    control.borrow().apply(request, clock())?;
+    Ok(save(control, clock()).await.err())
 }
 
-/// Brings the files and the bridge together, and waits for it.
+/// Brings the files and the bridge together, and waits for it. Errors: the job was refused; [`Control::not_saved`] has what the disk
+/// refused.
 async fn save<W: FileWorker>(control: &RefCell<Control<W>>, now: Monotonic) -> Result<(), RequestError> {
     let report = {
         let mut control = control.borrow_mut();

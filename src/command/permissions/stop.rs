@@ -313,9 +313,13 @@ pub fn release(args: &StopArgs) -> Result<(), PermissionError> {
     let run = args.run.open_to_change()?;
     let fail = |why: String| PermissionError::NotReleased { run: run.dir.display().to_string(), why };
     let asked = crate::clock::now();
+    let mut not_saved = None;
     let state = match ask_for_release(&run).map_err(fail)? {
         Ok(state) if state.stopped => return Err(fail(SET_ANEW.into())),
-        Ok(_) => "the robots may be driven again",
+        Ok(state) => {
+            not_saved = state.not_saved;
+            "the robots may be driven again"
+        }
         Err(AskError::NoAnswer { source, is_listening: false }) => {
             DiskStorage.remove(&stop_file(&run.dir)).map_err(|why| {
                 fail(format!("the bridge does not run ({source}), and the stop stays on the disk: {why}"))
@@ -330,7 +334,7 @@ pub fn release(args: &StopArgs) -> Result<(), PermissionError> {
         Err(why) => return Err(fail(format!("{why}; the emergency stop holds, try again"))),
     };
     let [still_stopped, unconfirmed] = robots_after_release(&run, asked);
-    let released = Released { run: &run.dir, state, still_stopped, unconfirmed };
+    let released = Released { run: &run.dir, state, not_saved, still_stopped, unconfirmed };
     Ok(output::print_either(args.json, &released, || released.text())?)
 }
 
@@ -360,6 +364,9 @@ struct Released<'a> {
     #[serde(serialize_with = "lossy_path::serialize")]
     run: &'a Path,
     state: &'a str,
+    /// What of it is not on the disk, why, and what follows from it at a restart.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    not_saved: Option<String>,
     /// Robots on other machines whose own machine's stop is still set.
     still_stopped: Vec<String>,
     /// Robots on other machines that have not said that they are released.
@@ -369,6 +376,9 @@ struct Released<'a> {
 impl Released<'_> {
     fn text(&self) -> String {
         let mut text = self.state.to_owned();
+        if let Some(why) = &self.not_saved {
+            text += &format!("; but it is NOT SAVED: {why}");
+        }
         if !self.still_stopped.is_empty() {
             let names = self.still_stopped.join(", ");
             text += &format!(

@@ -73,8 +73,9 @@ impl<'a> OperatorConsole<'a> {
         };
         Some(match answer {
             Ok(state) => {
+                let not_saved = state.not_saved.clone().filter(|_| !is_latched);
                 self.newest = Some(state);
-                done
+                not_saved.map_or(done.clone(), |why| format!("{done}; but it is NOT SAVED: {why}"))
             }
             Err(why) if is_latched => {
                 format!("stop NOT CONFIRMED: the bridge sets it as soon as it goes on or is replaced ({why})")

@@ -208,6 +208,8 @@ fn requests_beyond_what_may_wait_for_the_disk_are_refused_in_words() {
 struct CountedJobs {
     count: usize,
     is_full: bool,
+    /// Number of jobs for which there is room; further ones are refused.
+    room: Option<usize>,
 }
 
 impl JobWorker<FileJob, FileReport> for CountedJobs {
@@ -215,6 +217,9 @@ impl JobWorker<FileJob, FileReport> for CountedJobs {
         self.count += 1;
         let result = if self.is_full { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) };
         let (sender, receiver) = oneshot::channel();
+        if self.room.is_some_and(|room| self.count > room) {
+            return receiver;
+        }
         sender.send(FileReport { stops_found: 0, result }).unwrap();
         receiver
     }
@@ -241,6 +246,61 @@ fn a_bridge_that_does_not_change_reads_the_stop_file_and_one_that_changes_saves_
     bridge.release_stop();
     (3..13).for_each(|step| control.update_files(Monotonic(second + step)));
     assert_eq!(control.files.count, 17, "what a full disk refused is tried again each time");
+}
+
+/// The run's folder is replaced by a file: nothing can be written there.
+fn lose_folder(run: &Run) {
+    std::fs::remove_dir_all(&run.dir).unwrap();
+    std::fs::write(&run.dir, "").unwrap();
+}
+
+#[test]
+fn an_answer_names_what_was_not_saved_and_what_follows() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(&folder.path().join("run"));
+    std::fs::create_dir(&run.dir).unwrap();
+    let control = control_on(&run, &StalledDisk::new());
+    let ask = |request| block_on(answer(&control, request, now)).unwrap();
+    let address = [10, 0, 0, 7].into();
+    assert_eq!(ask(Request::Allow(address)).not_saved, None);
+    assert_eq!(ask(Request::Stop).not_saved, None);
+    // The stop's file cannot be removed, as a folder is in its place. The state beside it is saved all the same.
+    let stop = stop_file(&run.dir);
+    std::fs::remove_file(&stop).unwrap();
+    std::fs::create_dir(&stop).unwrap();
+    std::fs::set_permissions(&stop, std::fs::Permissions::from_mode(0o0)).unwrap();
+    let released = ask(Request::Release);
+    std::fs::set_permissions(&stop, std::fs::Permissions::from_mode(0o700)).unwrap();
+    let why = released.not_saved.unwrap();
+    assert!(!released.stopped && why.contains("may set the emergency stop again"), "{why}");
+    assert!(why.contains("stopped") && !why.contains("bridge.json"), "{why}");
+    assert!(ask(Request::State).not_saved.is_some(), "the state goes on saying so");
+
+    lose_folder(&run);
+    for (request, expected) in [
+        (Request::Stop, "may not set the emergency stop"),
+        (Request::Deny(address), "after a restart 10.0.0.7 may drive"),
+        (Request::Deny(address), "knows the selected robot, who drives and who may drive as they were"),
+    ] {
+        let why = ask(request).not_saved.unwrap();
+        assert!(why.contains(expected), "{request:?}: {why}");
+    }
+    std::fs::remove_file(&run.dir).unwrap();
+    std::fs::create_dir(&run.dir).unwrap();
+    assert_eq!(ask(Request::Release).not_saved, None, "the disk is there again");
+}
+
+#[test]
+fn a_release_whose_save_finds_no_room_is_not_answered_as_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path());
+    let bridge = Rc::new(Bridge::new(run.config.bridge.clone(), 2, |_, _| {}).unwrap());
+    bridge.stop_robots();
+    // The first job is that before the release.
+    let files = CountedJobs { room: Some(1), ..CountedJobs::default() };
+    let control = RefCell::new(Control::new(bridge, &run, files));
+    let state = block_on(answer(&control, Request::Release, now)).unwrap();
+    assert!(!state.stopped && state.not_saved.is_some_and(|why| why.contains("does not answer")));
 }
 
 #[test]
