@@ -114,16 +114,21 @@ impl ReportFile {
 
 impl JobRunner for ReportFile {
     type Job = LinkReport;
-    type Report = ();
+    /// Whether the file is written.
+    type Report = io::Result<()>;
 
-    fn run(&mut self, report: &LinkReport) {
+    fn run(&mut self, report: &LinkReport) -> io::Result<()> {
         let written = report.clone().write(&self.run_dir, &self.heard_before);
         if let Err(why) = &written
             && !self.has_failed
         {
-            tracing::warn!("{}: link.json: {why}", self.run_dir.display());
+            tracing::warn!(
+                "{}: link.json: {why}; `mr-slam status` and `stop` do not know how the robots on other machines are",
+                self.run_dir.display()
+            );
         }
         self.has_failed = written.is_err();
+        written
     }
 }
 
@@ -175,5 +180,34 @@ impl<P: Ports, T: Transport, S: StopControl> ReportLink for BaseLink<P, T, S> {
             ..PeerReport::default()
         });
         LinkReport { peers: peers.collect(), ..LinkReport::default() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::FleetConfig;
+    use crate::job_thread::{JobThread, JobWorker};
+
+    #[test]
+    fn the_thread_of_the_files_says_that_a_report_is_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = Run::in_memory(FleetConfig::default()).unwrap();
+        run.dir = folder.path().join("run");
+        let mut files = JobThread::start(ReportFile::new(&run)).unwrap();
+        let report = || {
+            let peers = vec![PeerReport { robot: "robot1".into(), ..PeerReport::default() }];
+            LinkReport { peers, ..LinkReport::default() }.of_now()
+        };
+        // There is no folder, then a file in its place, then a folder.
+        let why = files.submit(report()).blocking_recv().unwrap().unwrap_err();
+        assert_eq!(why.kind(), io::ErrorKind::NotFound, "{why}");
+        std::fs::write(&run.dir, "").unwrap();
+        assert!(files.submit(report()).blocking_recv().unwrap().is_err());
+        assert!(LinkReport::read(&run.dir).is_err());
+        std::fs::remove_file(&run.dir).unwrap();
+        std::fs::create_dir(&run.dir).unwrap();
+        files.submit(report()).blocking_recv().unwrap().unwrap();
+        assert_eq!(LinkReport::read(&run.dir).unwrap().peers[0].robot, "robot1");
     }
 }
