@@ -13,7 +13,7 @@ mod headset;
 mod injection;
 pub mod invariants;
 mod members;
-mod memory_storage;
+pub mod memory_storage;
 mod merged_map_check;
 mod observer;
 mod operator;

@@ -33,7 +33,7 @@ fn example() -> &'static (Vec<u8>, Vec<u8>) {
             if back.nodes().len() == 4 {
                 let mut builder = LogRecordBuilder::default();
                 builder.add(&node, Some(estimate));
-                let record = builder.encode(&identity, &mut newest, &front.state());
+                let record = builder.encode(&identity, &mut newest, &front.state()).unwrap();
                 return (session.unwrap_or_default(), record);
             }
             front.add_frame_update(back.add_node(node));
@@ -77,7 +77,7 @@ fn a_version_has_one_format() {
     let mut builder = LogRecordBuilder::default();
     decoded.nodes.iter().for_each(|logged| builder.add(&logged.node, logged.begins_at));
     assert!(!builder.is_empty() && decoded.nodes[0].begins_at.is_some());
-    let again = builder.encode(&decoded.identity, &mut LogPosition::default(), &decoded.front);
+    let again = builder.encode(&decoded.identity, &mut LogPosition::default(), &decoded.front).unwrap();
     assert!(again == stored, "another format than version {VERSION}");
 }
 

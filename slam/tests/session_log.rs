@@ -5,7 +5,7 @@ mod common;
 use common::{Log, bits, ring_log};
 use msg::{Odometry, Pose2, Scan, SlamMode};
 use slam::session::log::{LogContents, LogPosition, LogRecordBuilder, continuation};
-use slam::{BackEnd, FrontEnd, InitialPose, Session, SessionIdentity, SlamConfig};
+use slam::{BackEnd, FrontEnd, InitialPose, Session, SessionError, SessionIdentity, SlamConfig};
 
 /// Feeds a log, with each node recorded before the back end gets it; a record after each `per_record` scans.
 fn feed_logged(
@@ -23,7 +23,7 @@ fn feed_logged(
         }
         let is_last = k + 1 == log.len();
         if (is_last || k % per_record == per_record - 1) && !builder.is_empty() {
-            bytes.extend(builder.encode(&identity(), newest, &front.state()));
+            bytes.extend(builder.encode(&identity(), newest, &front.state()).unwrap());
         }
     }
     bytes
@@ -104,4 +104,25 @@ fn a_torn_log_keeps_its_whole_records() {
     let mut records: Vec<_> = whole.records.into_iter().map(|(record, _)| record).collect();
     records.remove(1);
     assert_eq!(continuation(LogPosition::default(), records).len(), 1);
+}
+
+#[test]
+fn a_record_that_could_not_be_read_back_is_refused_and_the_log_goes_on() {
+    let log = ring_log();
+    let (mut front, mut back) = begun(None);
+    let mut newest = LogPosition::default();
+    let mut bytes = feed_logged((&mut front, &mut back), &log[..20], &mut newest, 5);
+    let (written, whole) = (newest, LogContents::decode(&bytes).records);
+    // No robot stands there.
+    let mut node = whole[0].0.nodes[0].node.clone();
+    node.local_from_base.x_m = f64::NAN;
+    let mut builder = LogRecordBuilder::default();
+    builder.add(&node, None);
+    let why = builder.encode(&identity(), &mut newest, &front.state()).unwrap_err();
+    assert!(!matches!(why, SessionError::Encoding(_)), "{why:?}");
+    assert!(builder.is_empty() && newest == written);
+    // The records after it follow from those before it.
+    bytes.extend(feed_logged((&mut front, &mut back), &log[20..60], &mut newest, 5));
+    let contents = LogContents::decode(&bytes);
+    assert!(contents.incomplete_tail.is_none() && contents.records.len() > whole.len());
 }

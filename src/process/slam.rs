@@ -10,8 +10,11 @@
 mod autosave;
 pub mod back_end;
 pub mod commands;
+mod file_jobs;
 pub mod files;
 pub mod front_end_loop;
+mod held_answers;
+pub mod map_frame;
 mod pausing;
 pub mod refused;
 mod services;
@@ -35,6 +38,7 @@ use ::slam::{
 use back_end::{BackEndWorker, InitialBackEnd};
 use files::{FileJobOutcome, SlamFileJob, SlamFileWorker};
 use front_end_loop::{BeginningFrontEnd, FrontEndLoop};
+use map_frame::MapFrame;
 use msg::{Header, Pose2, RobotId, Role, SlamMode};
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
@@ -217,6 +221,7 @@ fn restore_or_create(
 ) -> Result<InitialSlam, Error> {
     let config = live_config(run);
     let is_paused = pausing::was_paused(storage, run, robot);
+    let frame = MapFrame::read(storage, run, robot, clock);
     let identity = sessions::identity(run, robot);
     let saved = read_own_session(run, robot, storage)?;
     let position = saved.as_ref().map(|session| session.log).unwrap_or_default();
@@ -240,7 +245,7 @@ fn restore_or_create(
         let restart_map_from_odom = map_from_odom.filter(|_| back.nodes().is_empty());
         let beginning =
             BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom: map_from_odom, is_paused };
-        return Ok(InitialSlam { beginning, back: InitialBackEnd { back, log_end, is_paused } });
+        return Ok(InitialSlam { beginning, back: InitialBackEnd { back, log_end, is_paused, frame } });
     }
     let kept = match (session, records.is_empty()) {
         (Some(session), true) => session,
@@ -259,7 +264,7 @@ fn restore_or_create(
     }
     let beginning =
         BeginningFrontEnd { front, restart_map_from_odom, given_map_from_odom: map_from_odom, is_paused };
-    Ok(InitialSlam { beginning, back: InitialBackEnd { back, log_end, is_paused } })
+    Ok(InitialSlam { beginning, back: InitialBackEnd { back, log_end, is_paused, frame } })
 }
 
 /// Reads what an earlier process of this run saved.

@@ -24,13 +24,15 @@ pub struct SubmapPublisher<P: Ports> {
     /// Most nodes of the robot's map.
     nodes_max: usize,
     robot: RobotId,
+    /// Number of the map's frame.
+    frame: u32,
     /// Whether it was reported that the map is full, and that submaps are left out.
     is_warned: [bool; 2],
 }
 
 impl<P: Ports> SubmapPublisher<P> {
     /// Opens the channels.
-    pub fn open(ports: &P, robot: RobotId, config: &SlamConfig) -> Result<Self, ChannelError> {
+    pub fn open(ports: &P, robot: RobotId, config: &SlamConfig, frame: u32) -> Result<Self, ChannelError> {
         let now = ports.clock().now();
         Ok(Self {
             submaps: Submaps::new(config),
@@ -42,12 +44,14 @@ impl<P: Ports> SubmapPublisher<P> {
             polled: now,
             nodes_max: config.graph.nodes_max,
             robot,
+            frame,
             is_warned: [false; 2],
         })
     }
 
-    /// Starts again with the nodes of a replaced back end.
-    pub fn restart(&mut self) {
+    /// Starts again with the nodes of a replaced back end, whose map has the frame of this number.
+    pub fn restart(&mut self, frame: u32) {
+        self.frame = frame;
         self.submaps.restart();
         self.is_warned = [false; 2];
     }
@@ -55,8 +59,11 @@ impl<P: Ports> SubmapPublisher<P> {
     /// Records that the back end has new nodes or a changed graph.
     pub fn update(&mut self, back: &BackEnd) {
         self.submaps.update(back);
-        let submaps = &self.submaps;
-        self.poses.send_with(|poses| submaps.poses(back, poses));
+        let (submaps, frame) = (&self.submaps, self.frame);
+        self.poses.send_with(|poses| {
+            submaps.poses(back, poses);
+            poses.run = frame;
+        });
         self.sending = true;
         self.warn_about_limits(back);
     }

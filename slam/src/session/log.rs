@@ -95,13 +95,16 @@ impl LogRecordBuilder {
     }
 
     /// Encodes the record after `newest`, with the nodes that wait and the state of the front end after them. `newest`
-    /// becomes the record's place.
+    /// becomes the record's place. No node waits afterwards.
+    ///
+    /// # Errors
+    /// [`SessionError`] if the record could not be read back, as a value in it is not valid; `newest` is as before.
     pub fn encode(
         &mut self,
         identity: &SessionIdentity,
         newest: &mut LogPosition,
         front: &FrontEndState,
-    ) -> Vec<u8> {
+    ) -> Result<Vec<u8>, SessionError> {
         let mut bytes = Vec::with_capacity(HEAD + self.nodes.len());
         bytes.resize(HEAD, 0);
         let (identity, number, previous) = (*identity, newest.number + 1, newest.checksum);
@@ -110,13 +113,16 @@ impl LogRecordBuilder {
         bytes = encode_after(bytes, front);
         self.clear();
         let checksum = crc32fast::hash(&bytes[HEAD..]);
-        let length = (bytes.len() - HEAD) as u32;
+        // A restart would leave it out, and all records after it.
+        LogRecord::decode_content(&bytes[HEAD..], checksum)?;
+        let found = (bytes.len() - HEAD) as u64;
+        let length = u32::try_from(found).map_err(|_| SessionError::TooLarge { found })?;
         bytes[..8].copy_from_slice(&MAGIC);
         bytes[8..12].copy_from_slice(&VERSION.to_le_bytes());
         bytes[12..16].copy_from_slice(&length.to_le_bytes());
         bytes[16..20].copy_from_slice(&checksum.to_le_bytes());
         *newest = LogPosition { number, checksum };
-        bytes
+        Ok(bytes)
     }
 }
 

@@ -15,7 +15,7 @@ const RETRY_PERIOD: Duration = Duration::from_secs(2);
 const FIRST_SAVE: Duration = Duration::from_secs(1);
 
 /// Time after which a save that has not ended is told: the disk, or the server that has it, does not answer.
-const SLOW_SAVE: Duration = Duration::from_secs(20);
+const SLOW_SAVE: Duration = Duration::from_secs(5);
 
 /// Times of the saves, and whether the map has changed since the last.
 pub(super) struct Autosave {
@@ -36,6 +36,8 @@ pub(super) struct Autosave {
     saved: bool,
     /// The error that was reported last: it is not reported again.
     reported: Option<String>,
+    /// Number of saves that were begun, and of the newest one that has ended.
+    counts: [u64; 2],
 }
 
 impl Autosave {
@@ -54,6 +56,7 @@ impl Autosave {
             turn,
             saved: false,
             reported: None,
+            counts: [0; 2],
         }
     }
 
@@ -77,12 +80,28 @@ impl Autosave {
         self.due = self.due.min(self.not_before);
     }
 
+    /// Saves at once, for a person who waits for it. Returns the number of the save that has all that was changed until now; `None`:
+    /// autosave is off, or nothing is to be saved.
+    pub fn save_now(&mut self, now: Monotonic) -> Option<u64> {
+        if !self.is_wanted() {
+            return None;
+        }
+        self.due = self.due.min(now);
+        Some(self.counts[0] + 1)
+    }
+
+    /// Returns why this save failed, or `None` in it if it did not; `None` if it has not ended.
+    pub fn outcome(&self, save: u64) -> Option<Option<&str>> {
+        (self.counts[1] >= save).then_some(self.error())
+    }
+
     /// Why the last save failed, if it did.
     pub fn error(&self) -> Option<&str> {
         self.reported.as_deref()
     }
 
     pub fn begin(&mut self, now: Monotonic) {
+        self.counts[0] += 1;
         (self.busy_since, self.changed) = (Some(now), false);
     }
 
@@ -104,6 +123,7 @@ impl Autosave {
 
     pub fn finish(&mut self, outcome: &FileJobOutcome, now: Monotonic) {
         self.busy_since = None;
+        self.counts[1] = self.counts[0];
         if std::mem::take(&mut self.is_slow_told) {
             tracing::warn!("slam: the disk answers again, after {:.0} s", outcome.took.as_secs_f64());
         }

@@ -2,7 +2,9 @@
 
 use super::autosave::Autosave;
 use super::commands::CommandSender;
+use super::file_jobs::FileJobs;
 use super::files::{FileJobOutcome, FileOperation, Loaded, SlamFileJob};
+use super::map_frame::MapFrame;
 use super::services::{PendingRequest, Services};
 use super::session_log::{LogEnd, SessionLog};
 use super::{BackEndInput, FrontCommand, FrontEvent, TrajectoryStart};
@@ -12,7 +14,7 @@ use crate::process::submap_publisher::SubmapPublisher;
 use crate::run::Run;
 use crate::sessions;
 use ::slam::{BackEnd, FrontEnd, FrontEndState, LocalFrameEstimate, Node, Session, SessionIdentity};
-use msg::{Monotonic, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind};
+use msg::{Monotonic, RobotId, SlamMode, SlamRequest};
 use std::path::PathBuf;
 use std::sync::mpsc::SyncSender;
 use std::time::Duration;
@@ -36,6 +38,8 @@ pub struct InitialBackEnd {
     pub log_end: LogEnd,
     /// Whether SLAM is paused.
     pub is_paused: bool,
+    /// Frame of the map.
+    pub frame: MapFrame,
 }
 
 /// The back end with its channels. A step handles one event of the scan path and about a millisecond of other work.
@@ -46,6 +50,8 @@ pub struct BackEndWorker<P: Ports> {
     submaps: SubmapPublisher<P>,
     clock: P::Clock,
     robot: RobotId,
+    /// Number of the front end whose submaps are published.
+    front_number: u32,
     /// Reasons why the map may be wrong that a person was told.
     told_reasons: Vec<&'static str>,
     ended: bool,
@@ -57,7 +63,7 @@ impl<P: Ports> BackEndWorker<P> {
         ports: &P,
         run: &Run,
         robot: RobotId,
-        InitialBackEnd { back, log_end, is_paused }: InitialBackEnd,
+        InitialBackEnd { back, log_end, is_paused, frame }: InitialBackEnd,
         commands: SyncSender<FrontCommand>,
         jobs: SyncSender<SlamFileJob>,
     ) -> Result<Self, ChannelError> {
@@ -65,17 +71,17 @@ impl<P: Ports> BackEndWorker<P> {
         let now = clock.now();
         Ok(Self {
             map: MapPublisher::open(ports, robot)?,
-            submaps: SubmapPublisher::open(ports, robot, &run.config.slam)?,
+            submaps: SubmapPublisher::open(ports, robot, &run.config.slam, frame.number)?,
             services: Services::open(ports, run, robot, is_paused)?,
             state: WorkerState {
                 back,
                 identity: sessions::identity(run, robot),
                 commands: CommandSender::new(commands),
-                jobs,
+                jobs: FileJobs::new(jobs),
                 autosave: Autosave::new(run, robot, now),
                 log: SessionLog::new(run, robot, log_end),
+                frame,
                 front_number: 0,
-                is_new: false,
                 map_changed: true,
                 pending: Vec::new(),
                 asked_at: now,
@@ -83,6 +89,7 @@ impl<P: Ports> BackEndWorker<P> {
             },
             clock,
             robot,
+            front_number: 0,
             told_reasons: Vec::new(),
             ended: false,
         })
@@ -93,6 +100,9 @@ impl<P: Ports> BackEndWorker<P> {
         let Self { state, services, map, submaps, .. } = self;
         state.now = self.clock.now();
         state.commands.flush();
+        if let Some(BackEndInput::File(_)) = &input {
+            state.jobs.finish(state.now);
+        }
         match input {
             Some(BackEndInput::FrontEnd(number, FrontEvent::Ended(front))) => {
                 self.ended = true;
@@ -107,11 +117,12 @@ impl<P: Ports> BackEndWorker<P> {
             None => {}
         }
         services.serve(state);
+        services.answer_held(state);
         state.autosave_if_due();
         state.request_log_record();
         state.ask_again();
-        if std::mem::take(&mut state.is_new) {
-            submaps.restart();
+        if std::mem::replace(&mut self.front_number, state.front_number) != state.front_number {
+            submaps.restart(state.frame.number);
         }
         if std::mem::take(&mut state.map_changed) {
             map.mark_changed();
@@ -159,20 +170,20 @@ pub struct WorkerState {
     pub identity: SessionIdentity,
     /// Sender of commands to the scan path.
     pub commands: CommandSender,
-    jobs: SyncSender<SlamFileJob>,
-    autosave: Autosave,
+    pub(super) jobs: FileJobs,
+    pub(super) autosave: Autosave,
     log: SessionLog,
+    /// Frame of the map.
+    pub(super) frame: MapFrame,
     /// Number of the current or next front end: events of earlier ones are ignored.
     front_number: u32,
-    /// The back end has been replaced since the last step.
-    is_new: bool,
     /// The map has changed since it was drawn.
     map_changed: bool,
     /// Requests that wait for the scan path's state.
     pending: Vec<PendingRequest>,
     /// Moment at which the state was requested.
     asked_at: Monotonic,
-    now: Monotonic,
+    pub(super) now: Monotonic,
 }
 
 impl WorkerState {
@@ -234,7 +245,7 @@ impl WorkerState {
         let before = self.back.tiles().header;
         self.back = back;
         self.back.set_map_header(before.header, before.scan_sent);
-        (self.front_number, self.is_new) = (self.front_number + 1, true);
+        self.front_number += 1;
         self.mark_changed();
         let (number, front) = (self.front_number, Box::new(front));
         self.commands.send(FrontCommand::Replace { number, front, keeps_pose });
@@ -248,6 +259,7 @@ impl WorkerState {
     ///
     /// It is saved at once: a process that is started again goes on with it, and not with the map of before.
     pub fn load(&mut self, loaded: Loaded) {
+        self.frame = loaded.frame;
         self.replace(loaded.front, loaded.back, false);
         self.autosave.save_soon();
     }
@@ -257,17 +269,6 @@ impl WorkerState {
         self.back.set_mode(mode);
         self.mark_changed();
         self.autosave.save_soon();
-    }
-
-    /// Returns the answer `text` to a request that was done. It says of one that changes the map that the session could not be saved the
-    /// last time. The log tells of the save that follows.
-    pub fn with_unsaved_note(&self, request: &SlamRequest, text: String) -> (SlamOutcome, String) {
-        use SlamRequestKind::{Relocalize, SetPose};
-        let kind = SlamRequestKind::from_code(request.kind);
-        let changes = kind.is_some_and(|kind| kind.changes_map() && !matches!(kind, SetPose | Relocalize));
-        let Some(why) = self.autosave.error().filter(|_| changes) else { return (SlamOutcome::Done, text) };
-        let text = format!("{text}; NOT SAVED yet, a process that is started again would not know it: {why}");
-        (SlamOutcome::NotSaved, text)
     }
 
     /// Returns how many requests wait for the scan path's state.
@@ -295,9 +296,14 @@ impl WorkerState {
     }
 
     /// Sends a job to the file worker; returns false if its queue is full.
-    pub fn submit_file_job(&self, request: Option<&SlamRequest>, path: PathBuf, work: FileOperation) -> bool {
+    pub fn submit_file_job(
+        &mut self,
+        request: Option<&SlamRequest>,
+        path: PathBuf,
+        work: FileOperation,
+    ) -> bool {
         let request = request.map(|request| Box::new(*request));
-        self.jobs.try_send(SlamFileJob { request, path, work }).is_ok()
+        self.jobs.submit(SlamFileJob { request, path, work }, self.now)
     }
 
     /// Returns the session to save, with the scan path at `state`.
@@ -329,7 +335,7 @@ impl WorkerState {
 
     /// Writes the nodes that wait to the session log, with the scan path at `state`.
     pub fn write_log(&mut self, state: &FrontEndState) {
-        self.log.write(&self.identity, state, &self.jobs);
+        self.log.write(&self.identity, state, &mut self.jobs, self.now);
     }
 
     fn autosave_if_due(&mut self) {
@@ -366,7 +372,7 @@ impl WorkerState {
         if self.autosave.is_wanted_at_end() && same_front {
             let work = FileOperation::Save(self.session_after_log(state));
             // The running save must end first, or the older session would replace the newer one.
-            let _ = self.jobs.send(SlamFileJob { request: None, path: self.autosave.path.clone(), work });
+            self.jobs.submit_last(SlamFileJob { request: None, path: self.autosave.path.clone(), work });
         }
     }
 }

@@ -4,6 +4,7 @@
 //! the scan path needed (a process has one lock on its memory): scan to pose p99 200 to 390 ms instead of 3 to 60.
 
 use super::BackEndInput;
+use super::map_frame::MapFrame;
 use super::refused::FileJobError;
 use crate::ports::Clock;
 use crate::session_file::{self, SessionFileError};
@@ -50,8 +51,8 @@ pub enum FileOperation {
         /// Why it is unreliable; empty if it is not.
         reasons: Vec<&'static str>,
     },
-    /// Read a session or a map for this robot.
-    Load(SessionIdentity, SlamMode),
+    /// Read a session or a map for this robot, whose map has this frame now.
+    Load(SessionIdentity, SlamMode, MapFrame),
 }
 
 /// Outcome of a job.
@@ -74,15 +75,18 @@ pub struct Loaded {
     pub front: FrontEnd,
     /// Back end with the session's graph.
     pub back: BackEnd,
-    /// What a person is to know of the map's frame; empty if it is known to be of this run.
+    /// The frame of the map.
+    pub frame: MapFrame,
+    /// What a person is to know of the map's frame; empty if it is the one of before.
     pub note: &'static str,
 }
 
-/// What is said of a map of another run, whose frame nobody compares with this run's: merging takes it to lie where the map before lay.
-const OTHER_FRAME: &str = "; the map is of another run: the fleet's map has it where this robot's map lay";
+/// What is said of a map of another frame: of another run, or of this one where maps of other runs were loaded.
+const OTHER_FRAME: &str =
+    "; the map is of another run or frame: merging finds anew where it lies in the fleet's map";
 /// What is said of a map without a session, whose file does not say of which run it is.
 const UNKNOWN_FRAME: &str =
-    "; if the map is of another run, the fleet's map has it where this robot's map lay";
+    "; the map's run and frame are not known: merging finds anew where it lies in the fleet's map";
 
 /// Performs jobs, one after the other.
 pub struct SlamFileWorker<C, S> {
@@ -148,9 +152,9 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
                 .write_map(&path, grid.view(), &reasons)
                 .map(|()| None)
                 .map_err(FileJobError::from),
-            FileOperation::Load(identity, mode) => {
+            FileOperation::Load(identity, mode, frame) => {
                 let request = request.as_deref().copied().unwrap_or_default();
-                self.load(&path, &identity, mode, &request).map(|loaded| Some(Box::new(loaded)))
+                self.load(&path, &identity, (mode, &frame), &request).map(|loaded| Some(Box::new(loaded)))
             }
         };
         match &result {
@@ -169,7 +173,7 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
         &self,
         path: &Path,
         identity: &SessionIdentity,
-        mode: SlamMode,
+        (mode, frame): (SlamMode, &MapFrame),
         request: &SlamRequest,
     ) -> Result<Loaded, FileJobError> {
         let is_map = session_file::is_map(path);
@@ -198,13 +202,21 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
             Some(InitialPoseKind::LastNode) => poses.last().copied().map_or(InitialPose::Unknown, at),
             Some(InitialPoseKind::Unknown) | None => InitialPose::Unknown,
         };
-        let is_own = session.identity.run == identity.run;
-        let note = match (is_map, is_own) {
+        let is_own = !is_map && session.identity.run == identity.run;
+        let before = frame.number;
+        let frame = frame.after_load(is_own);
+        let note = match (is_map, frame.number == before) {
             (true, _) => UNKNOWN_FRAME,
             (false, false) => OTHER_FRAME,
             (false, true) => "",
         };
+        // Before the session is saved: a process that is started again in between has another frame than before, at worst once more.
+        if frame.number != before
+            && let Err(why) = frame.write(&self.storage)
+        {
+            tracing::warn!("slam: the number of the map's frame is not saved: {why}");
+        }
         let (front, back) = ::slam::create_or_resume(self.config.clone(), Some(session), mode, start);
-        Ok(Loaded { front, back, note })
+        Ok(Loaded { front, back, frame, note })
     }
 }

@@ -44,7 +44,11 @@ impl<P: Ports> Services<P> {
         state: &mut WorkerState,
     ) -> RequestResult {
         let work = if pauses { FileOperation::Replace(Vec::new()) } else { FileOperation::Remove };
-        let is_submitted = state.submit_file_job(Some(request), self.pause_marker.clone(), work);
+        let path = self.pause_marker.clone();
+        let is_submitted = state.submit_file_job(Some(request), path.clone(), work);
+        if is_submitted {
+            self.held.add_file(request, path, state.now());
+        }
         self.paused = pauses;
         state.commands.send(FrontCommand::Pause(pauses));
         match is_submitted {
@@ -66,12 +70,21 @@ fn outcome(pauses: bool, unwritten: Option<&dyn Display>) -> RequestOutcome {
 /// Returns the outcome of a request that has paused SLAM or has it go on, and whose file was written or could not be; `None` for
 /// other requests.
 pub(super) fn answer(request: &SlamRequest, written: Result<(), &FileJobError>) -> Option<RequestOutcome> {
-    let pauses = match SlamRequestKind::from_code(request.kind)? {
-        SlamRequestKind::Pause => true,
-        SlamRequestKind::Resume => false,
-        _ => return None,
-    };
-    Some(outcome(pauses, written.as_ref().err().map(|why| why as &dyn Display)))
+    Some(outcome(pauses(request)?, written.as_ref().err().map(|why| why as &dyn Display)))
+}
+
+/// Returns the outcome of a request that has paused SLAM or has it go on, and whose file is not written yet; `None` for other requests.
+pub(super) fn unwritten(request: &SlamRequest, why: &dyn Display) -> Option<RequestOutcome> {
+    Some(outcome(pauses(request)?, Some(why)))
+}
+
+/// Returns whether a request pauses SLAM, or has it go on; `None` for others.
+fn pauses(request: &SlamRequest) -> Option<bool> {
+    match SlamRequestKind::from_code(request.kind)? {
+        SlamRequestKind::Pause => Some(true),
+        SlamRequestKind::Resume => Some(false),
+        _ => None,
+    }
 }
 
 #[cfg(test)]

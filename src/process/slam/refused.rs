@@ -16,6 +16,14 @@ pub enum RequestRefused {
     /// The queue of the file worker is full.
     #[error("too many files are being written; try again in a moment")]
     TooManyFiles,
+    /// The disk does not answer.
+    #[error("{}: the disk has not answered for {seconds} s; what is to be written may be written when it does, nothing is loaded", path.display())]
+    DiskSilent {
+        /// Path of the file.
+        path: PathBuf,
+        /// For how long, seconds.
+        seconds: u64,
+    },
     /// A file is being loaded.
     #[error("another file is being loaded; try again when it is")]
     Loading,

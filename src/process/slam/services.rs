@@ -2,7 +2,9 @@
 
 use super::FrontCommand;
 use super::back_end::WorkerState;
+use super::file_jobs::DISK_PATIENCE;
 use super::files::{FileJobOutcome, FileOperation};
+use super::held_answers::HeldAnswers;
 use super::pausing;
 use super::refused::RequestRefused;
 use crate::channel;
@@ -61,7 +63,9 @@ pub struct Services<P: Ports> {
     pub(super) paused: bool,
     /// The file that says that SLAM is paused.
     pub(super) pause_marker: PathBuf,
-    loading: bool,
+    pub(super) loading: bool,
+    /// Answers that wait for the disk.
+    pub(super) held: HeldAnswers,
 }
 
 impl<P: Ports> Services<P> {
@@ -74,6 +78,7 @@ impl<P: Ports> Services<P> {
             paused,
             pause_marker: pausing::marker(run, robot),
             loading: false,
+            held: HeldAnswers::default(),
         })
     }
 
@@ -96,7 +101,13 @@ impl<P: Ports> Services<P> {
             return Err(RequestRefused::Loading);
         }
         match ask {
-            SlamRequestKind::State => done(""),
+            SlamRequestKind::State => match state.disk_silence() {
+                silence if silence < DISK_PATIENCE => done(""),
+                silence => done(&format!(
+                    "the disk has not answered for {} s; nothing is saved meanwhile",
+                    silence.as_secs()
+                )),
+            },
             SlamRequestKind::Pause => self.pause(true, request, state),
             SlamRequestKind::Resume => self.pause(false, request, state),
             SlamRequestKind::Reset => self.reset(state),
@@ -156,7 +167,7 @@ impl<P: Ports> Services<P> {
         let stem = map_file::stem(&file_path(&self.dir, request.text.as_str(), None)?);
         let grid = state.back.map().to_owned();
         let reasons = state.back.reliability_evidence().reasons().collect();
-        submit_file_job(state, request, stem, FileOperation::Draw { grid, reasons })
+        self.submit(state, request, stem, FileOperation::Draw { grid, reasons })
     }
 
     fn load_session(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
@@ -165,7 +176,8 @@ impl<P: Ports> Services<P> {
             pose_of(request)?;
         }
         let path = self.session_path(request)?;
-        let given = submit_file_job(state, request, path, FileOperation::Load(state.identity, mode));
+        let given =
+            self.submit(state, request, path, FileOperation::Load(state.identity, mode, state.frame.clone()));
         self.loading = given.is_ok();
         given
     }
@@ -197,7 +209,7 @@ impl<P: Ports> Services<P> {
             PendingRequest::LogRecord => state.write_log(front),
             PendingRequest::Save(request, path) => {
                 let session = Box::new(state.session(front));
-                let outcome = submit_file_job(state, &request, path, FileOperation::Save(session));
+                let outcome = self.submit(state, &request, path, FileOperation::Save(session));
                 self.respond(&request, outcome, state);
             }
             PendingRequest::SetPose(request) => {
@@ -221,6 +233,10 @@ impl<P: Ports> Services<P> {
     /// Answers a request whose file was read or written.
     pub fn finish_job(&mut self, state: &mut WorkerState, outcome: FileJobOutcome) {
         let FileJobOutcome { request: Some(request), path, result, .. } = outcome else { return };
+        if !self.held.finish_file() {
+            // It was answered that the disk does not answer: a session that is loaded too late is not used.
+            return;
+        }
         let loads = request.kind == SlamRequestKind::LoadSession as u32;
         self.loading &= !loads;
         if let Some(answer) = pausing::answer(&request, result.as_ref().map(|_| ())) {
@@ -247,10 +263,28 @@ impl<P: Ports> Services<P> {
         file_path(&self.dir, request.text.as_str(), Some(SESSION_ENDING))
     }
 
-    fn respond(&mut self, request: &SlamRequest, outcome: RequestResult, state: &WorkerState) {
+    /// Answers a request; of one that changes the map, when the session with the change is saved.
+    fn respond(&mut self, request: &SlamRequest, outcome: RequestResult, state: &mut WorkerState) {
+        let outcome = match outcome {
+            Ok(RequestOutcome::Done(text)) => match self.held.hold(request, text, state) {
+                Some(text) => Ok(state.with_unsaved_note(request, text)),
+                None => return,
+            },
+            outcome => outcome,
+        };
+        self.send_response(request, outcome, state);
+    }
+
+    /// Sends the response to a request.
+    pub(super) fn send_response(
+        &mut self,
+        request: &SlamRequest,
+        outcome: RequestResult,
+        state: &WorkerState,
+    ) {
         let (outcome, text) = match outcome {
             Ok(RequestOutcome::Deferred) => return,
-            Ok(RequestOutcome::Done(text)) => state.with_unsaved_note(request, text),
+            Ok(RequestOutcome::Done(text)) => (SlamOutcome::Done, text),
             Ok(RequestOutcome::NotSaved(text)) => (SlamOutcome::NotSaved, text),
             Err(why) => (SlamOutcome::Refused, why.to_string()),
         };
@@ -298,18 +332,6 @@ fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, Re
         path.set_extension(ending);
     }
     Ok(path)
-}
-
-fn submit_file_job(
-    state: &WorkerState,
-    request: &SlamRequest,
-    path: PathBuf,
-    work: FileOperation,
-) -> RequestResult {
-    match state.submit_file_job(Some(request), path, work) {
-        true => Ok(RequestOutcome::Deferred),
-        false => Err(RequestRefused::TooManyFiles),
-    }
 }
 
 fn defer_until_state(state: &mut WorkerState, pending: PendingRequest) -> RequestResult {
@@ -366,34 +388,4 @@ fn info(closure: &ClosureReport) -> ClosureInfo {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    #[test]
-    fn files_lie_where_they_are_said_to() {
-        let dir = Path::new("/run");
-        let path = |name| file_path(dir, name, Some("slam")).map(|path| path.display().to_string());
-        assert_eq!(path("monday").unwrap(), "/run/monday.slam");
-        assert_eq!(path("maps/monday.yaml").unwrap(), "/run/maps/monday.yaml");
-        assert_eq!(path("/elsewhere/a.slam").unwrap(), "/elsewhere/a.slam");
-        for (name, reason) in
-            [("../a", "leads out"), ("a/../../b", "leads out"), ("", "no file"), ("a\n", "no file")]
-        {
-            assert!(path(name).unwrap_err().to_string().contains(reason), "{name}");
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn no_relative_name_leads_out(name in "[a./\\\\-]{0,12}") {
-            let dir = Path::new("/run");
-            if let Ok(path) = file_path(dir, &name, None)
-                && !name.starts_with('/')
-            {
-                prop_assert!(path.starts_with(dir) && path != dir);
-                prop_assert!(!path.components().any(|part| part == Component::ParentDir));
-            }
-        }
-    }
-}
+mod tests;

@@ -4,6 +4,7 @@
 //! session is whole. A change that records cannot repeat (a loaded map, undone closures, a lost robot) suspends the
 //! log until a session with that change is saved.
 
+use super::file_jobs::FileJobs;
 use super::files::{FileOperation, SlamFileJob};
 use super::keep_written;
 use crate::run::Run;
@@ -14,7 +15,6 @@ use ::slam::session::log::{LogPosition, LogRecord, LogRecordBuilder};
 use ::slam::{FrontEndState, LocalFrameEstimate, Node, SessionIdentity};
 use msg::{Monotonic, RobotId};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
 /// Time from a node to the request of its record. With the scan path's answer at its next scan (0.1 s) and the write,
@@ -118,20 +118,25 @@ impl SessionLog {
         &mut self,
         identity: &SessionIdentity,
         front: &FrontEndState,
-        jobs: &SyncSender<SlamFileJob>,
+        jobs: &mut FileJobs,
+        now: Monotonic,
     ) {
         self.is_requested = false;
         if self.suspended || self.waiting.is_empty() {
             return;
         }
         self.waits_since = None;
-        let bytes = self.waiting.encode(identity, &mut self.to.newest, front);
+        let bytes = match self.waiting.encode(identity, &mut self.to.newest, front) {
+            Ok(bytes) => bytes,
+            Err(why) => {
+                self.tell_failure(&why);
+                return self.suspend();
+            }
+        };
         let (at, length) = (self.to.end, bytes.len() as u64);
         let path = self.files[self.to.file].clone();
-        if jobs
-            .try_send(SlamFileJob { request: None, path, work: FileOperation::Append { at, bytes } })
-            .is_err()
-        {
+        let work = FileOperation::Append { at, bytes };
+        if !jobs.submit(SlamFileJob { request: None, path, work }, now) {
             return self.suspend();
         }
         self.to.end += length;
@@ -171,12 +176,17 @@ impl SessionLog {
             if path == self.files[self.to.file] {
                 self.to.end = self.to.end.min(at);
             }
-            if !std::mem::replace(&mut self.failed, true) {
-                tracing::warn!(
-                    "slam: the session log is not written: {why}; mapping goes on, and the session is tried again"
-                );
-            }
+            self.tell_failure(&why);
             self.suspend();
+        }
+    }
+
+    /// Says once that records are not written.
+    fn tell_failure(&mut self, why: &dyn std::fmt::Display) {
+        if !std::mem::replace(&mut self.failed, true) {
+            tracing::warn!(
+                "slam: the session log is not written: {why}; mapping goes on, and the session is tried again"
+            );
         }
     }
 }

@@ -1,0 +1,91 @@
+//! The number of the robot's map frame. It changes when the map becomes one of another frame, and merging forgets then where the robot's
+//! map lay. A file beside the session keeps it across restarts of the process.
+
+use crate::ports::Clock;
+use crate::run::Run;
+use crate::sessions;
+use crate::storage::Storage;
+use msg::RobotId;
+use std::io::{self, ErrorKind};
+use std::path::PathBuf;
+
+/// Largest length of the file, bytes.
+const BYTES_MAX: u64 = 16;
+
+/// Number of a map frame, and the file that keeps it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MapFrame {
+    /// The number; 0 is the frame in which the robot began.
+    pub number: u32,
+    file: PathBuf,
+}
+
+impl MapFrame {
+    /// Reads the number of a robot's frame. One that cannot be read is another one than all before: merging looks for the map's place.
+    pub fn read(storage: &impl Storage, run: &Run, robot: RobotId, clock: &impl Clock) -> Self {
+        let file = sessions::folder(run).join(format!("{robot}.frame"));
+        let unknown = |why: &dyn std::fmt::Display| {
+            tracing::warn!(
+                "slam of {robot}: {}: {why}; merging looks for the place of its map",
+                file.display()
+            );
+            // Counted numbers are small.
+            clock.now().0 as u32 | 1 << 31
+        };
+        let number = match storage.read(&file, BYTES_MAX) {
+            Ok(bytes) => match std::str::from_utf8(&bytes).map(|text| text.trim().parse()) {
+                Ok(Ok(number)) => number,
+                _ => unknown(&"is no number"),
+            },
+            Err(why) if why.kind() == ErrorKind::NotFound => 0,
+            Err(why) => unknown(&why),
+        };
+        Self { number, file }
+    }
+
+    /// Returns the frame of a map that was loaded. `is_of_run`: a process of this run has saved it. Its frame is the same only while no
+    /// map of another frame was loaded in this run.
+    pub fn after_load(&self, is_of_run: bool) -> Self {
+        let number = match (is_of_run, self.number) {
+            (true, 0) => 0,
+            (_, number) => number.wrapping_add(1).max(1),
+        };
+        Self { number, file: self.file.clone() }
+    }
+
+    /// Writes the number to its file.
+    ///
+    /// # Errors
+    /// The file cannot be written: a restarted process has the number of before, and merging looks for the map's place once more.
+    pub fn write(&self, storage: &impl Storage) -> io::Result<()> {
+        storage.replace(&self.file, self.number.to_string().as_bytes())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::FleetConfig;
+    use crate::lockstep::faults::FaultPlan;
+    use crate::lockstep::queues::Network;
+    use crate::storage::DiskStorage;
+
+    #[test]
+    fn a_map_of_another_frame_has_another_number_also_after_a_restart() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = Run::in_memory(FleetConfig::default()).unwrap();
+        run.dir = folder.path().into();
+        let network = Network::new(FaultPlan::none());
+        let read = || MapFrame::read(&DiskStorage, &run, RobotId::new(1).unwrap(), network.clock());
+        let begun = read();
+        assert_eq!((begun.number, begun.after_load(true).number), (0, 0));
+        let other = begun.after_load(false);
+        assert_ne!(other.number, 0);
+        other.write(&DiskStorage).unwrap();
+        assert_eq!(read(), other, "a restarted process goes on in the same frame");
+        // A session of this run may have been saved before or after the other map was loaded.
+        assert!(![0, other.number].contains(&other.after_load(true).number));
+        std::fs::write(&other.file, "?").unwrap();
+        assert!(![0, other.number].contains(&read().number));
+    }
+}

@@ -1,0 +1,184 @@
+//! Tests of the names of files, and of answers while the disk does not answer.
+
+use super::*;
+use crate::channel::Opener;
+use crate::config::FleetConfig;
+use crate::lockstep::faults::FaultPlan;
+use crate::lockstep::memory_storage::MemoryStorage;
+use crate::lockstep::queues::{MemoryPorts, Network, QueueReader, QueueWriter};
+use crate::ports::Clock;
+use crate::process::ProcessLoop;
+use crate::process::slam::SlamProcess;
+use crate::storage::Storage;
+use ::slam::{Session, SessionIdentity};
+use msg::{Grid, Monotonic, Role, SubmapPoses};
+use proptest::prelude::*;
+use std::rc::Rc;
+
+#[test]
+fn files_lie_where_they_are_said_to() {
+    let dir = Path::new("/run");
+    let path = |name| file_path(dir, name, Some("slam")).map(|path| path.display().to_string());
+    assert_eq!(path("monday").unwrap(), "/run/monday.slam");
+    assert_eq!(path("maps/monday.yaml").unwrap(), "/run/maps/monday.yaml");
+    assert_eq!(path("/elsewhere/a.slam").unwrap(), "/elsewhere/a.slam");
+    for (name, reason) in
+        [("../a", "leads out"), ("a/../../b", "leads out"), ("", "no file"), ("a\n", "no file")]
+    {
+        assert!(path(name).unwrap_err().to_string().contains(reason), "{name}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_relative_name_leads_out(name in "[a./\\\\-]{0,12}") {
+        let dir = Path::new("/run");
+        if let Ok(path) = file_path(dir, &name, None)
+            && !name.starts_with('/')
+        {
+            prop_assert!(path.starts_with(dir) && path != dir);
+            prop_assert!(!path.components().any(|part| part == Component::ParentDir));
+        }
+    }
+}
+
+/// A SLAM process without scans, and a bridge that asks it. Its disk is full when the faults say so, and answers if it is to.
+struct Asked {
+    network: Rc<Network>,
+    process: SlamProcess<MemoryPorts, MemoryStorage>,
+    storage: MemoryStorage,
+    /// What merging reads.
+    poses: QueueReader<SubmapPoses>,
+    requests: QueueWriter<SlamRequest>,
+    responses: QueueReader<SlamResponse>,
+    does_disk_answer: bool,
+}
+
+impl Asked {
+    fn new(faults: FaultPlan) -> Self {
+        let network = Network::new(faults);
+        let robot = RobotId::new(1).unwrap();
+        let run = Run::in_memory(FleetConfig::default()).unwrap();
+        let attach =
+            |role: Role, robot| MemoryPorts::attach(&network, Opener { program: role.into(), robot });
+        let (slam, bridge) = (attach(Role::Slam, Some(robot)), attach(Role::Bridge, None));
+        let poses = attach(Role::Merge, None).reader(&channel::submap_poses(robot)).unwrap();
+        let storage = MemoryStorage::new(&network);
+        Self {
+            process: SlamProcess::open([&slam, &slam], &run, robot, None, storage.clone()).unwrap(),
+            storage,
+            poses,
+            requests: bridge.writer(&channel::slam_request(robot)).unwrap(),
+            responses: bridge.reader(&channel::slam_response(robot)).unwrap(),
+            network,
+            does_disk_answer: true,
+        }
+    }
+
+    fn now(&self) -> Monotonic {
+        self.network.clock().now()
+    }
+
+    /// Goes on for 50 ms. Returns the response that has come.
+    fn step(&mut self) -> Option<SlamResponse> {
+        self.network.clock().set(self.now() + std::time::Duration::from_millis(50));
+        self.process.front_end_loop.step();
+        self.process.back_end.step(None);
+        while let Ok(input) = self.process.inputs.try_recv() {
+            self.process.back_end.step(Some(input));
+        }
+        while self.does_disk_answer
+            && let Ok(job) = self.process.jobs.try_recv()
+        {
+            assert!(self.process.files.try_run(job).is_none(), "there is room for the outcome");
+        }
+        self.responses.receive().map(|response| *response)
+    }
+
+    /// Returns the response that comes within some seconds, and after how many.
+    fn wait(&mut self, seconds: u64) -> Option<(SlamResponse, f64)> {
+        let begun = self.now();
+        (0..20 * seconds).find_map(|_| Some((self.step()?, self.now().since(begun) as f64 * 1e-9)))
+    }
+
+    fn ask(&mut self, kind: SlamRequestKind, text: &str) -> (SlamResponse, f64) {
+        let text = Text::shortened(text);
+        self.requests.send(&SlamRequest { kind: kind as u32, text, ..SlamRequest::default() });
+        self.wait(60).expect("an answer")
+    }
+}
+
+#[test]
+fn a_reset_is_done_when_it_is_saved_and_says_if_it_is_not() {
+    let second = |s: f64| Monotonic((s * 1e9) as u64);
+    let mut asked = Asked::new(FaultPlan::none().with_full_disk(second(5.0), second(20.0)));
+    let (response, _) = asked.ask(SlamRequestKind::Reset, "");
+    assert_eq!(response.outcome(), SlamOutcome::Done, "{}", response.text.as_str());
+    asked.wait(6);
+    for kind in [SlamRequestKind::Reset, SlamRequestKind::SetMode] {
+        let (response, after_s) = asked.ask(kind, "");
+        let text = response.text.as_str();
+        assert_eq!(response.outcome(), SlamOutcome::NotSaved, "{text}");
+        assert!(text.contains("NOT SAVED") && text.contains("robot1.slam"), "{text}");
+        assert!(after_s < 3.0, "the disk has refused it: {after_s} s");
+    }
+    asked.wait(20);
+    assert_eq!(asked.ask(SlamRequestKind::Reset, "").0.outcome(), SlamOutcome::Done);
+}
+
+#[test]
+fn a_disk_that_does_not_answer_is_told_within_seconds_and_each_request_has_one_answer() {
+    let mut asked = Asked::new(FaultPlan::none());
+    assert_eq!(asked.ask(SlamRequestKind::Pause, "").0.outcome(), SlamOutcome::Done);
+    asked.does_disk_answer = false;
+    for (kind, outcome, longest_s) in [
+        (SlamRequestKind::Pause, SlamOutcome::NotSaved, 4.0),
+        (SlamRequestKind::Reset, SlamOutcome::NotSaved, 4.0),
+        (SlamRequestKind::LoadSession, SlamOutcome::Refused, 11.0),
+        (SlamRequestKind::State, SlamOutcome::Done, 0.5),
+    ] {
+        let (response, after_s) = asked.ask(kind, "monday");
+        let text = response.text.as_str();
+        assert_eq!(response.outcome(), outcome, "{kind:?}: {text}");
+        assert!(text.contains("the disk has not answered for"), "{kind:?}: {text}");
+        assert!(after_s < longest_s, "{kind:?}: {after_s} s");
+    }
+    asked.does_disk_answer = true;
+    let late = asked.wait(20).map(|(response, _)| response.text.as_str().to_owned());
+    assert_eq!(late, None, "what was answered is not answered again");
+    let (response, _) = asked.ask(SlamRequestKind::State, "");
+    assert!(response.text.as_str().is_empty());
+    assert_eq!(asked.ask(SlamRequestKind::Reset, "").0.outcome(), SlamOutcome::Done);
+}
+
+#[test]
+fn merging_is_told_that_a_loaded_map_has_another_frame() {
+    let mut asked = Asked::new(FaultPlan::none());
+    let side = 80;
+    let header = msg::GridHeader { width: side, height: side, resolution_m: 0.05, ..Default::default() };
+    let is_wall = |cell: u32| [cell % side, cell / side].iter().any(|at| [0, side - 1].contains(at));
+    let cells = (0..side * side).map(|cell| if is_wall(cell) { 100 } else { -100 }).collect();
+    let grid = Grid { header, cells };
+    let config = Run::in_memory(FleetConfig::default()).unwrap().config.slam.clone();
+    let save = |asked: &Asked, name: &str, run: u64| {
+        let identity = SessionIdentity::new(1, run, &config);
+        let session = Session::from_grid(identity, grid.view(), &config);
+        let path = Path::new("lockstep").join(name);
+        asked.storage.write(&path, &session.encode().unwrap()).unwrap();
+    };
+    // The run in memory has number 0.
+    save(&asked, "own.slam", 0);
+    save(&asked, "other.slam", 7);
+    let mut load = |name: &str| {
+        let (response, _) = asked.ask(SlamRequestKind::LoadSession, name);
+        let text = response.text.as_str().to_owned();
+        assert_eq!(response.outcome(), SlamOutcome::Done, "{text}");
+        (asked.poses.newest().expect("poses of the loaded map").run, text.contains("merging finds anew"))
+    };
+    assert_eq!(load("own"), (0, false));
+    let (first, is_told) = load("other");
+    assert!(first != 0 && is_told);
+    // It may have been saved after the other one was loaded.
+    let (again, is_told) = load("own");
+    assert!(again != first && again != 0 && is_told);
+}
