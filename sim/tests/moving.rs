@@ -305,6 +305,22 @@ fn the_same_seed_gives_the_same_objects_and_others_go_on_where_they_were() {
     assert!(message(&resumed, 0).objects().iter().all(|object| object.world_from_object.is_finite()));
 }
 
+#[test]
+fn boxes_take_no_place_from_people() {
+    let obj = "# up z\nv -3 -2.5 0\nv 3 -2.5 0\nv 3 2.5 0\nv -3 2.5 0\nv -3 -2.5 2\nv 3 -2.5 2\nv 3 2.5 2\nv -3 2.5 2\n\
+        f 1 2 3 4\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+    let room = Room::from_bytes("small.obj", obj.as_bytes()).unwrap();
+    let starts = room.starts(1).unwrap();
+    let people = |boxes| {
+        let config = MovingConfig { people: 16, boxes, ..MovingConfig::default() };
+        ObjectSimulator::new(&room, &config, &starts, 42).counts().people
+    };
+    assert!((2..16).contains(&people(0)), "{}", people(0));
+    for boxes in [4, 12, 16] {
+        assert!(people(boxes) >= people(0), "{} with {boxes} boxes, {} without", people(boxes), people(0));
+    }
+}
+
 /// A message with one object that stands.
 fn standing(
     kind: ObjectKind,

@@ -69,7 +69,7 @@ impl<P: Ports, S: Storage> ObjectsProcess<P, S> {
         let mut objects = ObjectSimulator::new(&room, &config.sim.moving, &starts, config.fleet.seed);
         let (wished, found) = (config.sim.moving, objects.counts());
         if found != wished {
-            tracing::warn!("the room has places for {found:?} of {wished:?}");
+            tracing::warn!("{}: it has no place for the others", found.text_of(&wished));
         }
         let file = run.domain.root().join(FILE);
         let saved = read(&storage, &file, run.begun);

@@ -23,6 +23,15 @@ impl MovingConfig {
         *self != Self::default()
     }
 
+    /// Returns how many of those that are `wished` are in the room, for people.
+    pub fn text_of(&self, wished: &Self) -> String {
+        let Self { people, doors, boxes } = wished;
+        format!(
+            "{} of {people} people, {} of {doors} doors and {} of {boxes} boxes are in the room",
+            self.people, self.doors, self.boxes
+        )
+    }
+
     /// Checks all values and returns the first invalid one.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let counts =
@@ -31,5 +40,18 @@ impl MovingConfig {
             check(field, count as f64, count <= OBJECTS_OF_KIND_MAX, "0 to 16")?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_are_in_words() {
+        let found = MovingConfig { people: 3, doors: 0, boxes: 5 };
+        let wished = MovingConfig { people: 3, doors: 1, boxes: 14 };
+        let text = found.text_of(&wished);
+        assert_eq!(text, "3 of 3 people, 0 of 1 doors and 5 of 14 boxes are in the room");
     }
 }

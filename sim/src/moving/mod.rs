@@ -72,7 +72,7 @@ impl ObjectSimulator {
     pub const TICK: Duration = Duration::from_millis(50);
 
     /// Places people, doors and boxes in a room, apart from the robots' starts. There are fewer than configured if the room has no place
-    /// for all; see [`Self::counts`].
+    /// for all; see [`Self::counts`]. There are as many people as without boxes.
     pub fn new(room: &Room, config: &MovingConfig, starts: &[Pose2], seed: u64) -> Self {
         let robots_m: Vec<[f64; 2]> = starts.iter().map(|start| [start.x_m, start.y_m]).collect();
         let mut all = Self {
@@ -86,11 +86,14 @@ impl ObjectSimulator {
             obstacles: Vec::new(),
         };
         all.add_doors(config.doors.min(OBJECTS_OF_KIND_MAX));
-        for number in 0..config.boxes.min(OBJECTS_OF_KIND_MAX) {
-            all.add_box(number);
-        }
-        for number in 0..config.people.min(OBJECTS_OF_KIND_MAX) {
-            all.add_person(number);
+        all.add_boxes(config.boxes);
+        all.add_people(config.people);
+        if all.people.len() < config.people.min(OBJECTS_OF_KIND_MAX) {
+            // Boxes take no place that people need.
+            all.boxes.clear();
+            all.people.clear();
+            all.add_people(config.people);
+            all.add_boxes(config.boxes);
         }
         all
     }
@@ -112,10 +115,24 @@ impl ObjectSimulator {
         }
     }
 
+    fn add_boxes(&mut self, count: usize) {
+        (0..count.min(OBJECTS_OF_KIND_MAX)).for_each(|number| self.add_box(number));
+    }
+
+    fn add_people(&mut self, count: usize) {
+        (0..count.min(OBJECTS_OF_KIND_MAX)).for_each(|number| self.add_person(number));
+    }
+
     fn add_box(&mut self, number: usize) {
         let (doors, boxes) = (self.closed_doors(), self.box_outlines(None));
-        let others =
-            Others { robots_m: &self.robots_m, is_start: true, people: &[], doors: &doors, boxes: &boxes };
+        let people: Vec<Outline> = self.people.iter().map(Person::outline).collect();
+        let others = Others {
+            robots_m: &self.robots_m,
+            is_start: true,
+            people: &people,
+            doors: &doors,
+            boxes: &boxes,
+        };
         let draws = draws_of(self.seed, ObjectKind::Box, number, 0);
         self.boxes.extend(CarriedBox::draw(draws, &mut self.floor, &others));
     }
