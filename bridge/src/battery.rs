@@ -197,8 +197,7 @@ fn charge(battery: &Battery, scale: &mut Option<Scale>) -> Option<f64> {
         return None;
     }
     let scale = scale.insert(scale.map_or_else(|| Scale::of_first(number), |before| before.after(number)));
-    // The sum with 0 makes 0 of -0.
-    scale.share(number).map(|share| rounded(share.min(1.0), 1000.0) + 0.0)
+    scale.share(number).map(|share| rounded(share.min(1.0), 1000.0))
 }
 
 /// Returns how urgent a charge is, 0 to 1.
@@ -210,9 +209,9 @@ fn level(config: &BatteryConfig, charge: f64) -> Option<BatteryLevel> {
     }
 }
 
-/// Returns a number with so many parts of one: what it was before it became an `f32`.
+/// Returns a number with so many parts of one: what it was before it became an `f32`. Zero has no sign.
 fn rounded(value: f32, parts: f64) -> f64 {
-    (f64::from(value) * parts).round() / parts
+    (f64::from(value) * parts).round() / parts + 0.0
 }
 
 #[cfg(test)]

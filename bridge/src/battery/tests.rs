@@ -53,8 +53,13 @@ fn one_wrong_number_makes_no_battery_empty_or_full() {
     assert_eq!(charge(&[0.5, 42.0, 42.0, 42.0]), Some(0.42));
     assert_eq!(charge(&[42.0, 0.9, 0.9]), None);
     assert_eq!(charge(&[42.0, 0.9, 0.9, 0.9, 0.8]), Some(0.8));
-    let empty = charge(&[-0.0]).unwrap();
-    assert!(empty == 0.0 && empty.is_sign_positive());
+}
+
+#[test]
+fn an_empty_battery_has_no_sign() {
+    for sent in [&[-0.0][..], &[42.0, -0.0]] {
+        assert!(charge(sent).is_some_and(f64::is_sign_positive), "{sent:?}: {:?}", charge(sent));
+    }
 }
 
 #[test]

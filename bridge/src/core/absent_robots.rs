@@ -54,9 +54,14 @@ impl Core {
         self.router.send_notice(id, name::WARN, format!("{command}: {text}: {what}"));
         if self.admission.ros_refusals.add(RefusalKind::AbsentRobot, &name, now).is_some() {
             let peer = self.router.client(id).map(|client| client.peer.to_string()).unwrap_or_default();
-            self.report(format!("{peer} {verb} {text}"));
+            self.report(log_text(&peer, verb, &name, robots));
         }
     }
+}
+
+/// Returns what the operator's log says of a client that uses such a topic.
+fn log_text(peer: &str, verb: &str, name: &str, robots: &RobotNames) -> String {
+    format!("{peer} {verb} '{name}', which belongs to no robot of this fleet: it has {}", all_robots(robots))
 }
 
 /// Returns whether a topic that the fleet does not have is in the namespace of a robot that it does not have, `/robot9/`, or is
@@ -104,5 +109,9 @@ mod tests {
         assert!(is_of_absent_robot("/robot1/goal_pose", &named, is_input));
         assert_eq!(all_robots(&named), "alice, robot_b");
         assert_eq!(all_robots(&RobotNames::from(9)), "robot1 to robot9");
+        assert_eq!(
+            log_text("10.0.0.7:5", "publishes on", "/robot9/goal_pose", &RobotNames::from(9)),
+            "10.0.0.7:5 publishes on '/robot9/goal_pose', which belongs to no robot of this fleet: it has robot1 to robot9"
+        );
     }
 }

@@ -87,10 +87,8 @@ pub fn join_domain(config: &DdsConfig) -> Result<DomainParticipant, EndpointErro
 /// Returns the name of the endpoint's ROS node.
 pub fn node_name(config: &DdsConfig) -> Result<NodeName, EndpointError> {
     let namespace = if config.namespace.is_empty() { "/" } else { &config.namespace };
-    NodeName::new(namespace, &config.node).map_err(|reason| EndpointError::NodeName {
-        name: config.node.clone(),
-        reason: format!("{reason:?}"),
-    })
+    NodeName::new(namespace, &config.node)
+        .map_err(|reason| EndpointError::NodeName { name: config.node.clone(), reason: reason.to_string() })
 }
 
 /// Returns a type's name on DDS: `nav_msgs::msg::dds_::Path_` for `nav_msgs/Path` of the kind `msg`.
@@ -150,7 +148,7 @@ impl EntityFactory {
     fn topic(&self, name: &str, message_type: &str, qos: &QosPolicies) -> Result<Topic, EndpointError> {
         let ros_name = Name::parse(name).map_err(|reason| EndpointError::TopicName {
             name: name.to_owned(),
-            reason: format!("{reason:?}"),
+            reason: reason.to_string(),
         })?;
         let dds_name = ros_name.to_dds_name("rt", &self.node, "");
         self.dds_topic(&dds_name, dds_type(message_type, "msg", ""), qos)
