@@ -1,5 +1,6 @@
 //! Files of a bag: a file, or the folder of a rosbag2 bag, and what is no bag that is read.
 
+use crate::recording_folder::RecordingFolder;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -28,6 +29,14 @@ pub enum BagFilesError {
         /// Error of the operating system.
         source: std::io::Error,
     },
+    /// A bag without messages.
+    #[error("{}: the recording holds no messages{}", path.display(), because(.ended))]
+    Empty {
+        /// Path of the folder.
+        path: PathBuf,
+        /// Why it ended, if the recorder says so.
+        ended: Option<String>,
+    },
     /// A bag of a kind that is not read.
     #[error(
         "{} is {what}, which is not supported; expected MCAP, uncompressed or with compressed chunks: convert it with \
@@ -42,11 +51,31 @@ pub enum BagFilesError {
     },
 }
 
-/// Returns the files of a log in order: those that metadata.yaml of a folder lists, or the file itself.
+fn because(ended: &Option<String>) -> String {
+    ended.as_ref().map_or_else(String::new, |why| format!("; it ended because {why}"))
+}
+
+/// Returns the files of a log in order: those of a folder that `recording.json` of a fleet's recorder names, else those that its
+/// metadata.yaml lists, or the file itself.
 pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagFilesError> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
+    match RecordingFolder::read(path) {
+        Some(recording) if !recording.files.is_empty() => Ok(recording.files),
+        Some(recording) if unlisted(path, &[]).iter().all(|name| is_empty(&path.join(name))) => {
+            Err(BagFilesError::Empty { path: path.to_owned(), ended: recording.ended })
+        }
+        _ => listed_files(path),
+    }
+}
+
+fn is_empty(file: &Path) -> bool {
+    file.metadata().is_ok_and(|about| about.len() == 0)
+}
+
+/// Returns the files that the metadata.yaml of a folder lists, in order.
+fn listed_files(path: &Path) -> Result<Vec<PathBuf>, BagFilesError> {
     let metadata = path.join("metadata.yaml");
     let text = crate::limited::read_text(&metadata, METADATA_BYTES_MAX)
         .map_err(|source| BagFilesError::Folder { path: path.to_owned(), source })?;
@@ -60,6 +89,9 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagFilesError> {
     {
         return Err(unsupported(format!("a rosbag2 bag with the compression_mode {mode}")));
     }
+    if text.lines().any(|line| line.trim() == "relative_file_paths: []") {
+        return Err(BagFilesError::Empty { path: path.to_owned(), ended: None });
+    }
     let listed = text.lines().skip_while(|line| line.trim() != "relative_file_paths:").skip(1);
     let names = listed.map_while(|line| line.trim().strip_prefix("- ")).map(unquoted);
     // Older bags have the folder's name before the file's; nothing outside the folder is read.
@@ -71,7 +103,7 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagFilesError> {
     Ok(files)
 }
 
-/// Returns the names of recordings in a bag's folder that its metadata.yaml does not list: they are not read.
+/// Returns the names of recordings in a bag's folder that are not among the files that are read.
 pub fn unlisted(folder: &Path, listed: &[PathBuf]) -> Vec<String> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().take(FILES_MAX).flatten();
     let files = entries.map(|entry| entry.path());
@@ -155,6 +187,49 @@ mod tests {
         }
         let listed = files_of(folder.path()).unwrap();
         assert_eq!(unlisted(folder.path(), &listed), ["a_1.mcap"]);
+    }
+
+    #[test]
+    fn a_fleets_recording_has_all_files_that_the_recorder_names() {
+        let folder =
+            folder_with("  relative_file_paths:\n  - recording_1.mcap\n  storage_identifier: mcap\n");
+        let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+        let names = || {
+            let files = files_of(folder.path()).unwrap();
+            let names: Vec<_> = files.iter().map(|file| file.file_name().unwrap().to_owned()).collect();
+            (names, unlisted(folder.path(), &files))
+        };
+        write("recording.mcap", "x");
+        write("recording_1.mcap", "x");
+        write("recording_2.mcap", "");
+        write("other.mcap", "x");
+        let metadata_alone = (
+            vec!["recording_1.mcap".into()],
+            ["other.mcap", "recording.mcap", "recording_2.mcap"].map(str::to_owned).to_vec(),
+        );
+        assert_eq!(names(), metadata_alone);
+        write("recording.json", r#"{"something": "else"}"#);
+        assert_eq!(names(), metadata_alone, "it is no recorder's");
+        let not_read = ["other.mcap", "recording_2.mcap"].map(str::to_owned).to_vec();
+        let both = (vec!["recording.mcap".into(), "recording_1.mcap".into()], not_read);
+        // The folder was somewhere else then.
+        let json = r#"{"files": ["/there/recording_1.mcap", "/there/recording_2.mcap"], "earlier": ["/there/recording.mcap"],
+            "topics": [{"topic": "/clock", "messages": 3}], "dropped": 0, "ended": null}"#;
+        write("recording.json", json);
+        assert_eq!(names(), both);
+        write("recording.json", r#"{"files": [], "earlier": [], "ended": "it was killed"}"#);
+        assert_eq!(names(), both, "a recorder that was killed names none");
+    }
+
+    #[test]
+    fn an_empty_recording_says_so_and_why() {
+        let folder = folder_with("  relative_file_paths: []\n  storage_identifier: mcap\n");
+        let why = || files_of(folder.path()).unwrap_err().to_string();
+        assert!(why().ends_with("the recording holds no messages"), "{}", why());
+        std::fs::write(folder.path().join("recording.mcap"), "").unwrap();
+        let json = r#"{"files": ["x/recording.mcap"], "earlier": [], "ended": "the disk is full"}"#;
+        std::fs::write(folder.path().join("recording.json"), json).unwrap();
+        assert!(why().ends_with("holds no messages; it ended because the disk is full"), "{}", why());
     }
 
     #[test]

@@ -21,5 +21,6 @@ pub mod gzip;
 pub mod limited;
 pub mod map_file;
 pub mod overwriting;
+pub mod recording_folder;
 pub mod regular;
 pub mod tum;

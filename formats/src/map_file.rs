@@ -254,8 +254,8 @@ impl Description {
         if !self.origin.iter().all(|value| value.abs() <= ORIGIN_M_MAX) {
             return refuse(format!("`origin` is {:?}", self.origin), "finite metres, metres, radians");
         }
-        if matches!(self.negate, Flag::Number(2..)) {
-            return refuse(format!("`negate` is {:?}", self.negate), "0 or 1");
+        if let Flag::Number(number @ 2..) = self.negate {
+            return refuse(format!("`negate` is {number}"), "0 or 1");
         }
         let (free, occupied) = (self.free_thresh, self.occupied_thresh);
         let sound = (0.0..=1.0).contains(&free) && (0.0..=1.0).contains(&occupied) && free <= occupied;

@@ -280,5 +280,8 @@ fn compressed_messages_and_too_many_beams_are_named() {
     let many = LaserScan { ranges: vec![1.0; 5000], angle_increment: 0.001, ..scan(0) };
     let error = read_messages(&vec![("/scan", LaserScan::TYPE, 0, payload(&many))], &BagOptions::default());
     let text = error.unwrap_err().to_string();
-    assert!(text.contains("1 scans with more than 4096 beams"), "{text}");
+    assert!(text.contains("in CDR (1 scan with more than 4096 beams, which is the limit); it has"), "{text}");
+    let none = vec![("/other", "std_msgs/String", 0, vec![0, 1, 0, 0, 1, 0, 0, 0, 0])];
+    let text = read_messages(&none, &BagOptions::default()).unwrap_err().to_string();
+    assert!(text.contains("no sensor_msgs/LaserScan in CDR; it has /other"), "{text}");
 }

@@ -40,9 +40,8 @@ pub enum BagError {
     },
     /// There is no scan.
     #[error(
-        "the bag has no sensor_msgs/LaserScan{} in CDR ({too_many_beams} scans with more than {BEAMS_MAX} beams, \
-         which is the limit); it has {}",
-        on_topic(.wished), list(.topics)
+        "the bag has no sensor_msgs/LaserScan{} in CDR{}; it has {}",
+        on_topic(.wished), of_too_many_beams(*.too_many_beams), list(.topics)
     )]
     NoScan {
         /// Topic that was named.
@@ -177,6 +176,14 @@ impl BagError {
 
 fn on_topic(wished: &Option<String>) -> String {
     wished.as_ref().map_or(String::new(), |topic| format!(" on {topic}"))
+}
+
+fn of_too_many_beams(scans: u64) -> String {
+    match scans {
+        0 => String::new(),
+        1 => format!(" (1 scan with more than {BEAMS_MAX} beams, which is the limit)"),
+        _ => format!(" ({scans} scans with more than {BEAMS_MAX} beams, which is the limit)"),
+    }
 }
 
 fn list(names: &[String]) -> String {

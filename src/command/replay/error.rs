@@ -181,6 +181,6 @@ pub enum ReplayError {
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The summary cannot be written to standard output.
-    #[error("cannot print the summary: {0}")]
+    #[error(transparent)]
     Print(#[from] std::io::Error),
 }

@@ -125,7 +125,7 @@ mod tests {
         let mut odometry: Vec<_> = (0..40).map(|step| at(0.05 * f64::from(step))).collect();
         odometry.extend(scans.iter().map(|scan| (scan.stamp, scan.odom_from_base)));
         odometry.sort_by_key(|(stamp, _)| *stamp);
-        Log::of_bag(Bag { scans, odometry, ..Bag::default() })
+        Log::of_bag(Bag { scans, odometry, ..Bag::default() }, Vec::new())
     }
 
     #[test]

@@ -15,28 +15,31 @@ const PAUSE_MAX_S: f64 = 10.0;
 /// Longest time that the scans of two parts of a bag overlap, seconds: messages are not written in the order of their times.
 const OVERLAP_MAX_S: f64 = 1.0;
 
-/// Says which files of a bag's folder are not read.
-pub fn note_unlisted(folder: &Path, listed: &[PathBuf]) {
+/// Says which files of a bag's folder are not read, and returns their paths.
+pub fn note_unlisted(folder: &Path, listed: &[PathBuf]) -> Vec<String> {
     let names = if folder.is_dir() { unlisted(folder, listed) } else { Vec::new() };
     if !names.is_empty() {
         output::note(&format!(
-            "{}: not read, because metadata.yaml does not list them (`ros2 bag reindex` writes it anew): {}",
+            "{}: not read, because they are empty, or neither recording.json nor metadata.yaml lists them (`ros2 bag reindex` writes \
+             metadata.yaml anew): {}",
             folder.display(),
             names.join(", "),
         ));
     }
+    names.iter().map(|name| folder.join(name).display().to_string()).collect()
 }
 
 /// Reads the scans and the odometry of one robot from recordings that are one log: folders, or parts without longer pauses between
-/// them.
-pub fn read_bag(paths: &[PathBuf], options: &BagOptions) -> Result<Bag, ReplayError> {
+/// them. Returns them with the files of the folders that are not read.
+pub fn read_bag(paths: &[PathBuf], options: &BagOptions) -> Result<(Bag, Vec<String>), ReplayError> {
+    let mut not_read = Vec::new();
     let mut bag = BagReader::new(options.clone());
     let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
     let mut parts: Vec<((Stamp, Stamp), &PathBuf)> = Vec::new();
     for path in paths {
         let mut of_scans: Option<(Stamp, Stamp)> = None;
         let files = files_of(path)?;
-        note_unlisted(path, &files);
+        not_read.extend(note_unlisted(path, &files));
         // The files of a folder were written in their order; parts that a person names may have any.
         let mut times = RecordedTimes::default();
         for file in files {
@@ -66,5 +69,6 @@ pub fn read_bag(paths: &[PathBuf], options: &BagOptions) -> Result<Bag, ReplayEr
             return Err(ReplayError::NotOneBag { first, second, pause_s });
         }
     }
-    bag.finish().map_err(|why| ReplayError::Bag { path: paths[0].clone(), why })
+    let bag = bag.finish().map_err(|why| ReplayError::Bag { path: paths[0].clone(), why })?;
+    Ok((bag, not_read))
 }

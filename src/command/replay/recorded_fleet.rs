@@ -102,7 +102,8 @@ fn finish(args: &ReplayArgs, fleet: &mut Lockstep, figures: &Figures<'_>) -> Res
     }
     let view = FleetView::new(fleet.stats()).with_edges(fleet.merge_edges());
     let summary = serde_json::json!({
-        "maps_sha256": hash, "seconds": seconds, "malformed_messages": malformed, "damage": missing.damages, "gaps": missing.gaps,
+        "maps_sha256": hash, "seconds": seconds, "malformed_messages": malformed, "damage": missing.damages,
+        "not_read": missing.not_read, "gaps": missing.gaps,
         "times_real_time": times_real_time, "room": room, "fleet": view,
     });
     let text = || {
@@ -163,6 +164,8 @@ fn run_of(reader: &RecordingReader<BufReader<File>>) -> [Option<String>; 2] {
 struct Missing {
     /// What of the files is damaged.
     damages: Vec<String>,
+    /// Files of its folder that are not read.
+    not_read: Vec<String>,
     /// Pauses in the robots' scans, by the robot.
     gaps: BTreeMap<String, ScanGaps>,
 }
@@ -174,7 +177,8 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Miss
     let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
     let mut recording = FleetRecording::new(&config.robot_names(), PLANAR_ODOMETRY, scan);
     let files = paths.iter().map(|path| files_of(path)).collect::<Result<Vec<_>, _>>()?;
-    paths.iter().zip(&files).for_each(|(path, files)| log_files::note_unlisted(path, files));
+    let not_read = paths.iter().zip(&files).flat_map(|(path, files)| log_files::note_unlisted(path, files));
+    let not_read = not_read.collect();
     let files = files.concat();
     for path in &files {
         let mut reader = open(path)?;
@@ -204,7 +208,7 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Miss
         return Err(ReplayError::Replay("the recording has no scans of the fleet's robots".into()));
     }
     let gaps = note_missing(&recording, &config.robot_names());
-    Ok((recording, Missing { damages, gaps }))
+    Ok((recording, Missing { damages, not_read, gaps }))
 }
 
 /// Says which robots' scans pause, or come without odometry; returns the pauses.

@@ -56,6 +56,8 @@ pub struct RecordedScans {
     world_from_base: Vec<(Stamp, Pose2)>,
     /// Pauses in the scans.
     gaps: Option<ScanGaps>,
+    /// Files of its folder that are not read.
+    not_read: Vec<String>,
 }
 
 /// A log that was read.
@@ -129,13 +131,13 @@ impl Log {
             without_odometry: args.no_odometry,
             truth_topic: args.bag.truth_topic.clone(),
         };
-        let bag = log_files::read_bag(paths, &options)?;
+        let (bag, not_read) = log_files::read_bag(paths, &options)?;
         note_left_out(path, &bag);
         if bag.scans.is_empty() {
             let LeftOut { malformed, without_odometry, .. } = bag.left_out;
             return Err(ReplayError::NoScanOfBag { path: path.clone(), malformed, without_odometry });
         }
-        let log = Self::of_bag(bag);
+        let log = Self::of_bag(bag, not_read);
         if let Some(gaps) = log.gaps() {
             output::note(&format!("{}: {gaps}", path.display()));
         }
@@ -168,12 +170,12 @@ impl Log {
         }
     }
 
-    /// Returns the log of a recording that was read.
-    pub fn of_bag(bag: Bag) -> Self {
+    /// Returns the log of a recording that was read, but for some files of its folder.
+    pub fn of_bag(bag: Bag, not_read: Vec<String>) -> Self {
         let truth = bag.scans.iter().filter_map(|scan| Some((scan.stamp, scan.world_from_base?)));
         let world_from_base = truth.collect();
         let gaps = ScanGaps::find(bag.scans.iter().map(|scan| scan.stamp));
-        Self::Recording(Box::new(RecordedScans { bag, world_from_base, gaps }))
+        Self::Recording(Box::new(RecordedScans { bag, world_from_base, gaps, not_read }))
     }
 
     /// Returns the scans.
@@ -210,6 +212,14 @@ impl Log {
         match self {
             Self::Carmen(_) => None,
             Self::Recording(scans) => scans.gaps,
+        }
+    }
+
+    /// Returns the files of a recording's folder that are not read.
+    pub fn not_read(&self) -> &[String] {
+        match self {
+            Self::Carmen(_) => &[],
+            Self::Recording(scans) => &scans.not_read,
         }
     }
 

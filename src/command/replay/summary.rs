@@ -38,6 +38,8 @@ pub struct Summary {
     pub ends_at: Option<[f64; 3]>,
     /// Why a recording is used in part: it was cut off or damaged. `None`: it is whole.
     pub damage: Option<String>,
+    /// Files of a recording's folder that are not read.
+    pub not_read: Vec<String>,
     /// Pauses in the scans of a recording; `None`: there is none.
     pub gaps: Option<ScanGaps>,
     /// Number of malformed lines.
@@ -108,6 +110,9 @@ impl Summary {
         }
         if let Some(why) = &s.damage {
             text += &format!("  damaged   {why}\n");
+        }
+        if !s.not_read.is_empty() {
+            text += &format!("  not read  {}\n", s.not_read.join(", "));
         }
         if let Some(gaps) = &s.gaps {
             text += &format!("  pauses    {gaps}\n");
@@ -182,6 +187,7 @@ impl Summary {
         self.left_out = log.left_out();
         self.gaps = log.gaps();
         self.damage = log.damage().map(str::to_owned);
+        self.not_read = log.not_read().to_vec();
     }
 
     /// Counts what reading the scans has left out, and says it.
