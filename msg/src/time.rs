@@ -86,6 +86,11 @@ impl Add<Duration> for Monotonic {
 }
 
 impl Monotonic {
+    /// Converts to seconds since the clock's zero.
+    pub fn seconds(self) -> f64 {
+        self.0 as f64 * 1e-9
+    }
+
     /// Returns the nanoseconds from `earlier` to `self`; 0 if `earlier` is later.
     pub fn since(self, earlier: Self) -> u64 {
         self.0.saturating_sub(earlier.0)

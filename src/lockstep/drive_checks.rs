@@ -15,6 +15,15 @@ enum Source {
 }
 
 impl Source {
+    /// Returns the source as messages name it.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Operator => "the operator",
+            Self::Contender => "the second operator",
+            Self::Intruder => "a client without permission",
+        }
+    }
+
     /// Returns the source of a moving command.
     fn of(command: &VelocityCommand) -> Self {
         let velocity = [command.linear_m_s, command.angular_rad_s];
@@ -69,7 +78,12 @@ impl DriveChecks {
         self.moving &= !is_bridge_disturbed;
         let sent = self.driven().filter(|sent| self.moving && now > *sent + ZERO_MAX)?;
         self.moving = false;
-        Some(format!("{} is sent no zero until {now:?} after a command at {sent:?}", self.robot))
+        Some(format!(
+            "{} is sent no zero until {:.3} s after a command at {:.3} s",
+            self.robot,
+            now.seconds(),
+            sent.seconds()
+        ))
     }
 
     /// Receives an event of the injection of faults.
@@ -89,10 +103,10 @@ impl DriveChecks {
     /// Receives a command.
     pub fn command(&mut self, command: &VelocityCommand) -> Option<String> {
         let VelocityCommand { linear_m_s, angular_rad_s, .. } = *command;
-        let (robot, sent) = (self.robot, command.header.sent);
+        let (robot, sent, sent_s) = (self.robot, command.header.sent, command.header.sent.seconds());
         let RobotLimits { linear_m_s: linear_max, angular_rad_s: angular_max } = self.limits;
         if !(linear_m_s.abs() <= linear_max && angular_rad_s.abs() <= angular_max) {
-            return Some(format!("{robot} is sent {linear_m_s} m/s, {angular_rad_s} rad/s at {sent:?}"));
+            return Some(format!("{robot} is sent {linear_m_s} m/s, {angular_rad_s} rad/s at {sent_s:.3} s"));
         }
         self.moving = linear_m_s != 0.0 || angular_rad_s != 0.0;
         if !self.moving {
@@ -101,17 +115,22 @@ impl DriveChecks {
         let source = Source::of(command);
         let before = self.driver.replace((source, sent));
         if source == Source::Intruder {
-            return Some(format!("{robot} is driven by a client without permission at {sent:?}"));
+            return Some(format!("{robot} is driven by a client without permission at {sent_s:.3} s"));
         }
         if self.stopped {
-            return Some(format!("{robot} is driven at {sent:?} although the emergency stop is set"));
+            return Some(format!("{robot} is driven at {sent_s:.3} s although the emergency stop is set"));
         }
         let (holder, held) = before.filter(|(holder, _)| *holder != source)?;
         // The lease of a client that left ends with it. The bridge hears of it late if it was stopped or cut off.
         if self.left.is_some_and(|left| sent < left + LEAVE_HEARD_MAX) {
             return None;
         }
-        (sent < held + self.lease)
-            .then(|| format!("{robot}: {source:?} drives at {sent:?}, within the lease of {holder:?}"))
+        (sent < held + self.lease).then(|| {
+            format!(
+                "{robot}: {} drives at {sent_s:.3} s, within the lease of {}",
+                source.name(),
+                holder.name()
+            )
+        })
     }
 }

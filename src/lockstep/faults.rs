@@ -3,6 +3,7 @@
 use msg::Monotonic;
 use rand_pcg::Pcg32;
 use rand_pcg::rand_core::{Rng, SeedableRng};
+use std::fmt;
 use std::time::Duration;
 
 /// Smallest and largest duration of a disturbance of messages, disk or queues, milliseconds.
@@ -94,6 +95,57 @@ pub struct FaultPlan {
     /// Intervals in which the queue from a scan path to its back end has room for nodes only.
     events_lost: Vec<Window>,
     faults: Vec<(Monotonic, Fault)>,
+}
+
+impl fmt::Display for Window {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(to, "from {:.2} to {:.2} s", self.from.seconds(), self.until.seconds())
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Kill(BRIDGE) => write!(to, "the bridge is killed"),
+            Self::Kill(_) => write!(to, "a process is killed"),
+            Self::Freeze(BRIDGE, time) => write!(to, "the bridge is stopped for {time:?}"),
+            Self::Freeze(_, time) => write!(to, "a process is stopped for {time:?}"),
+            Self::ClockStep(time) => write!(to, "time jumps by {time:?}"),
+            Self::ResetMap(_) => write!(to, "a robot's map is reset"),
+            Self::Pause(_, time) => write!(to, "a robot's SLAM is paused for {time:?}"),
+            Self::LetGo(time) => write!(to, "the operator sends no velocity for {time:?}"),
+            Self::OperatorLeaves(time) => write!(to, "the operator's client leaves for {time:?}"),
+            Self::OperatorFrozen(time) => write!(to, "the operator's client is stopped for {time:?}"),
+            Self::Contend(_, time) => write!(to, "a second operator drives a robot for {time:?}"),
+            Self::EmergencyStop(time) => write!(to, "the emergency stop is set for {time:?}"),
+        }
+    }
+}
+
+/// Lists the faults in words, each on a line.
+impl fmt::Display for FaultPlan {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { rng: _, shuffled, disturbances, full, disk_full, cut, events_lost, faults } = self;
+        let order = if *shuffled { "drawn" } else { "fixed" };
+        write!(to, "faults; the order of processes that are due at one moment is {order}")?;
+        for Disturbance { window, lost, late, doubled } in disturbances {
+            let [lost, late, doubled] = [lost, late, doubled].map(|thousandths| *thousandths as f64 / 10.0);
+            write!(
+                to,
+                "\n  {window}: {lost:.1} % of the messages are lost, {late:.1} % late, {doubled:.1} % doubled"
+            )?;
+        }
+        let kinds = [
+            (full, "channels refuse messages"),
+            (disk_full, "the disk is full"),
+            (cut, "the network between clients and the bridge is cut"),
+            (events_lost, "the queues from scan paths to back ends have room for nodes only"),
+        ];
+        for (windows, what) in kinds {
+            windows.iter().try_for_each(|window| write!(to, "\n  {window}: {what}"))?;
+        }
+        faults.iter().try_for_each(|(at, fault)| write!(to, "\n  at {:.2} s: {fault}", at.seconds()))
+    }
 }
 
 impl FaultPlan {

@@ -115,9 +115,14 @@ impl Checker {
         let now = fleet.now();
         for robot in &self.robots {
             if robot.corrected.is_none_or(|corrected| now - corrected > SILENT_MAX_S) {
-                let last = robot.corrected;
-                self.violations
-                    .push(format!("{}: no pose estimate since {last:?}, now {now:?}", robot.robot));
+                let last = robot
+                    .corrected
+                    .map_or_else(|| "the start".to_owned(), |stamp| format!("{:.3} s", stamp.seconds()));
+                self.violations.push(format!(
+                    "{}: no pose estimate since {last}, now {:.3} s",
+                    robot.robot,
+                    now.seconds()
+                ));
             }
         }
         self.violations.extend(fleet.state_violations());
@@ -136,7 +141,9 @@ impl RobotChecker {
         let since_s = self.drive.driven().map(|sent| stamp.seconds() - sent.0 as f64 * 1e-9);
         let may_move = since_s.is_some_and(|since| since <= rest_after_s);
         (moves && !may_move).then(|| {
-            format!("{} moves at {:.2} s, {since_s:?} s after the last command", self.robot, stamp.seconds())
+            let since = since_s
+                .map_or_else(|| "without a".to_owned(), |since_s| format!("{since_s:.2} s after the last"));
+            format!("{} moves at {:.2} s, {since} command", self.robot, stamp.seconds())
         })
     }
 
@@ -197,7 +204,10 @@ impl Lockstep {
             if let Some(slam) = member.slam() {
                 let backlog = slam.process.back_end.backlog();
                 if backlog.iter().any(|waiting| *waiting > BACKLOG_MAX) {
-                    violations.push(format!("the {title} has a backlog of {backlog:?}"));
+                    violations.push(format!(
+                        "{} commands and {} requests wait in the {title}",
+                        backlog[0], backlog[1]
+                    ));
                 }
             }
             if let Some(process) = member.bridge() {
@@ -218,7 +228,7 @@ impl Lockstep {
         for member in &self.members {
             let title = member.row.title(member.robot);
             if !member.is_running() {
-                violations.push(format!("the {title} does not run: {:?}", member.policy.state()));
+                violations.push(format!("the {title} does not run"));
             }
             let (Some(_), Some(robot)) = (member.slam(), member.robot) else { continue };
             let saved = self.saved[robot.index()];

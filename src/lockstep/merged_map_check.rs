@@ -81,7 +81,8 @@ impl MergedMapCheck {
         let is_begun_anew = is_reset || robots.iter().zip(robots_before).any(is_smaller);
         let violation = (!is_begun_anew && is_smaller((merged, merged_before))).then(|| {
             format!(
-                "the merged map has {merged} known cells after a start of merging at {now:?}, {merged_before} before"
+                "the merged map has {merged} known cells after a start of merging at {:.3} s, {merged_before} before",
+                now.seconds()
             )
         });
         if is_begun_anew || violation.is_some() {

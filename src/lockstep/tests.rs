@@ -5,7 +5,7 @@ use super::faults::FaultPlan;
 use super::queues::Openings;
 use crate::channel::{CHANNELS, Direction, Endpoint, Opener, Program, Scope, process_health};
 use crate::config::FleetConfig;
-use msg::{RobotId, Role};
+use msg::{Monotonic, RobotId, Role};
 
 /// Returns what the table of channels declares for the processes of a simulated fleet.
 fn declared(config: &FleetConfig) -> Openings {
@@ -41,6 +41,18 @@ fn declared(config: &FleetConfig) -> Openings {
         declared.insert((name, Direction::Read, telemetry));
     }
     declared
+}
+
+#[test]
+fn faults_are_listed_in_words() {
+    let all = |seed| FaultPlan::draw(seed, Monotonic(30_000_000_000)).to_string();
+    for seed in 0..20 {
+        let text = all(seed);
+        assert!(!text.contains(['{', '(', '[']) && !text.contains("Monotonic"), "{text}");
+        assert!(text.lines().skip(1).all(|line| line.starts_with("  from ") || line.starts_with("  at ")));
+    }
+    assert!((0..20).any(|seed| all(seed).contains("s: the bridge is killed")));
+    assert_eq!(FaultPlan::none().to_string().lines().count(), 1);
 }
 
 #[test]
