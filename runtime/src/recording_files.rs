@@ -89,6 +89,16 @@ pub enum FileError {
     },
 }
 
+/// Returns an error if less than `keep_bytes` would be free on a disk after so many more bytes.
+fn check_free(path: &Path, disk: &rustix::fs::StatVfs, keep_bytes: u64, bytes: u64) -> Result<(), FileError> {
+    let free = disk.f_bavail.saturating_mul(disk.f_frsize);
+    if free >= keep_bytes.saturating_add(bytes) {
+        return Ok(());
+    }
+    let (free_mb, keep_mb) = (free / BYTES_PER_MB, keep_bytes / BYTES_PER_MB);
+    Err(FileError::DiskFull { path: path.to_owned(), free_mb, keep_mb })
+}
+
 /// Files of a recording, by their first name: `NAME.mcap`, `NAME_1.mcap` and so on. None is overwritten.
 pub struct RecordingFiles {
     first: PathBuf,
@@ -111,6 +121,16 @@ impl RecordingFiles {
     /// Returns the files.
     pub fn finish(self) -> Written {
         Written { files: self.all, earlier: self.earlier }
+    }
+
+    /// Checks whether the disk of the files has space for a recording, before one begins.
+    ///
+    /// # Errors
+    /// The disk is nearly full.
+    pub fn check_space(&self) -> Result<(), FileError> {
+        let folder = self.first.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+        let disk = rustix::fs::statvfs(folder);
+        disk.map_or(Ok(()), |disk| check_free(&self.first, &disk, self.disk_free_bytes, 0))
     }
 
     /// Ends the file before, begins the next one and returns its name.
@@ -158,11 +178,7 @@ impl RecordingFiles {
         }
         // A system that does not say how much is free writes until it fails.
         if let Ok(disk) = rustix::fs::fstatvfs(&*file) {
-            let free = disk.f_bavail.saturating_mul(disk.f_frsize);
-            if free < self.disk_free_bytes.saturating_add(bytes.len() as u64) {
-                let (free_mb, keep_mb) = (free / BYTES_PER_MB, self.disk_free_bytes / BYTES_PER_MB);
-                return Err(FileError::DiskFull { path: path.clone(), free_mb, keep_mb });
-            }
+            check_free(path, &disk, self.disk_free_bytes, bytes.len() as u64)?;
         }
         file.write_all(bytes).map_err(|source| FileError::Io { path: path.clone(), source })?;
         self.file_bytes += bytes.len() as u64;

@@ -86,12 +86,8 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let written = args.run_dir.as_ref().map_or(Ok(()), |dir| write_results(dir, &config, &mut fleet));
     let maps_hash = record::map_hash(fleet.maps());
     let recorded = recording.map(Recording::finish);
-    if let Some(summary) = &recorded {
-        record::describe_parts(&summary.bag, &summary.files)?;
-    }
-    if let Some(why) = recorded.as_ref().and_then(|recorded| recorded.ended.clone()) {
-        return Err(why.into());
-    }
+    let described =
+        recorded.as_ref().map_or(Ok(()), |summary| record::describe_parts(&summary.bag, &summary.files));
     let exploration = exploration.map(WatchedExploration::outcome);
     let view = FleetView::new(fleet.stats()).with_edges(fleet.merge_edges());
     let view = view.without_given_transforms(config.fleet.starts_known);
@@ -107,9 +103,13 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
         )
     };
     output::print_either(args.json, &report, text)?;
-    // What could not be written is no reason to lose the figures.
+    // What could not be written or recorded is no reason to lose the figures.
     written?;
     check_room_stayed(&config, room_digest.as_deref())?;
+    described?;
+    if let Some(why) = recorded.and_then(|recorded| recorded.ended) {
+        return Err(format!("the recording is not whole: {why}").into());
+    }
     check_end(args, stop, checker, &fleet)
 }
 
@@ -152,7 +152,7 @@ fn check_room_stayed(config: &FleetConfig, digest: Option<&str>) -> Result<(), E
 fn draw_faults(args: &LockstepArgs) -> FaultPlan {
     let Some(seed) = args.faults else { return FaultPlan::none() };
     let faults = FaultPlan::draw(seed, quiet_from(args.seconds));
-    output::note(&format!("{faults:?}"));
+    output::note(&faults.to_string());
     faults
 }
 

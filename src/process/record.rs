@@ -303,12 +303,14 @@ pub fn write_summary(path: &std::path::Path, summary: &Summary) -> io::Result<()
 /// Returns the files of a recording at this path, which must not exist yet.
 ///
 /// # Errors
-/// The file exists.
+/// The file exists, or its disk is nearly full.
 pub fn new_files(path: &std::path::Path, config: &RecordingConfig) -> Result<RecordingFiles, Error> {
     if path.exists() {
         return Err(
             format!("{}: exists already; choose another name for the recording", path.display()).into()
         );
     }
-    Ok(RecordingFiles::new(path, config.disk_free_bytes()))
+    let files = RecordingFiles::new(path, config.disk_free_bytes());
+    files.check_space()?;
+    Ok(files)
 }

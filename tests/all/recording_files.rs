@@ -1,10 +1,11 @@
 //! Files of a recording: parts, the description of their folder, counts, and what is at the end.
 
+use crate::harness::{mr_slam, output_of};
 use bridge::ros::{OccupancyGrid, decode};
 use formats::bag_folder::files_of;
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
-use mr_slam::process::record::{Summary, describe_parts, write_description};
+use mr_slam::process::record::{Summary, describe_parts, write_description, write_summary};
 use mr_slam::recording_files::RecordingFiles;
 use msg::grid::{Occupancy, occupancy};
 use recording::RecordingReader;
@@ -127,4 +128,51 @@ fn the_newest_maps_are_at_the_end_of_a_recording() {
     assert_eq!((last.width, last.height), (map.header.width, map.header.height));
     let unknown = map.cells.iter().filter(|cell| occupancy(**cell) == Occupancy::Unknown).count();
     assert_eq!(last.data.iter().filter(|cell| **cell == -1).count(), unknown);
+}
+
+#[test]
+fn a_replay_reads_what_recording_json_names_and_says_what_it_leaves_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config();
+    config.recording.split_mb = 0;
+    let (_, summary) = recorded(&config, &folder.path().join("recording.mcap"), 400, |_| {});
+    let [killed, files @ .., other] = &summary.files[..] else { panic!("{:?}", summary.files) };
+    let later = Bag { files: summary.bag.files[1..summary.files.len() - 1].to_vec(), ..summary.bag.clone() };
+    write_description(&later, folder.path(), &[]).unwrap();
+    let named = Summary { files: files.to_vec(), earlier: vec![killed.clone()], ..Summary::default() };
+    write_summary(&folder.path().join("recording.json"), &named).unwrap();
+    let replay = |files: &[&Path]| -> serde_json::Value {
+        let output = output_of(mr_slam().arg("replay").args(files).arg("--json"));
+        let told = String::from_utf8_lossy(&output.stderr);
+        serde_json::from_slice(&output.stdout).unwrap_or_else(|why| panic!("{why}: {told}"))
+    };
+    let by_folder = replay(&[folder.path()]);
+    assert_eq!(by_folder["not_read"], serde_json::json!([other.display().to_string()]), "{by_folder}");
+    let by_names: Vec<&Path> =
+        summary.files[..summary.files.len() - 1].iter().map(|file| file.as_path()).collect();
+    let by_names = replay(&by_names);
+    assert_eq!(by_names["not_read"], serde_json::json!([]));
+    assert_eq!(by_names["seconds"], by_folder["seconds"]);
+    assert_eq!(by_names["maps_sha256"], by_folder["maps_sha256"], "{by_folder}");
+}
+
+#[test]
+fn lockstep_refuses_a_full_disk_at_the_start_and_keeps_its_figures_if_the_disk_is_full_later() {
+    // No memory has as much as is kept free.
+    let folder = tempfile::tempdir_in("/dev/shm").unwrap();
+    let (file, path) = (folder.path().join("fleet.toml"), folder.path().join("a.mcap"));
+    std::fs::write(&file, "[recording]\ndisk_free_mb = 1000000\n").unwrap();
+    let lockstep = ["lockstep", "--robots", "1", "--seconds", "2", "--json", "--record"];
+    let output = output_of(mr_slam().args(lockstep).arg(&path).arg("--config").arg(&file));
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let why = json["error"].as_str().unwrap();
+    assert!(!output.status.success() && why.contains("MB of disk are left") && !path.exists(), "{json}");
+    // A limit of the size of files fails as a full disk does.
+    let mut limited = std::process::Command::new("sh");
+    limited.args(["-c", r#"trap '' XFSZ; ulimit -f 8; exec "$@""#, "sh"]).arg(mr_slam().get_program());
+    let output = output_of(limited.args(lockstep).arg(&path));
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(json["sha256"].is_string() && json["recording"]["ended"].is_string(), "{json}");
+    assert!(output.status.code() == Some(1) && told.contains("the recording is not whole"), "{told}");
 }
