@@ -16,11 +16,20 @@ pub fn size(stream: &impl AsFd) -> Option<(u16, u16)> {
     Some(if size.0 == 0 || size.1 == 0 { SIZE_DEFAULT } else { size })
 }
 
+/// Returns columns and rows of a terminal on which text can be drawn anew; `None`: it is none, or a dumb one, which knows no moves of
+/// its cursor.
+pub fn redrawn_size(stream: &impl AsFd) -> Option<(u16, u16)> {
+    if is_dumb() { None } else { size(stream) }
+}
+
+fn is_dumb() -> bool {
+    std::env::var_os("TERM").is_none_or(|term| term == "dumb")
+}
+
 /// Returns the style for a stream: of its terminal's width, coloured unless NO_COLOR or a dumb terminal forbids it.
 pub fn style(stream: &impl AsFd) -> Style {
     let Some((columns, _)) = size(stream) else { return Style::PLAIN };
     let is_set = |name: &str| std::env::var_os(name).is_some_and(|value| !value.is_empty());
-    let is_dumb = std::env::var_os("TERM").is_none_or(|term| term == "dumb");
     // A line in the last column would make some terminals wrap.
-    Style { width: usize::from(columns) - 1, is_coloured: !is_set("NO_COLOR") && !is_dumb }
+    Style { width: usize::from(columns) - 1, is_coloured: !is_set("NO_COLOR") && !is_dumb() }
 }

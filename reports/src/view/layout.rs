@@ -6,6 +6,8 @@ use std::fmt::Write;
 const PLAIN_WIDTH: usize = 112;
 /// Smallest width that text is laid out for, columns.
 const WIDTH_MIN: usize = 20;
+/// Indent of the further lines of a row that does not fit as a table.
+const NARROW_INDENT: usize = 2;
 /// Gap between parts of a line that may be wrapped between them.
 const GAP: &str = "   ";
 
@@ -42,6 +44,37 @@ impl Style {
             _ => return text.to_owned(),
         };
         format!("\x1b[{code}m{text}\x1b[0m")
+    }
+
+    /// Wraps each line of a text; see [`Style::wrap`].
+    pub fn wrap_lines(&self, text: &str, indent: usize) -> String {
+        text.lines().map(|line| self.wrap(line, indent)).collect()
+    }
+
+    /// Formats rows of a name and two values below headings. Where the table does not fit, each row is a line that wraps, with the
+    /// heading of the second value before it.
+    pub fn value_table(&self, headings: [&str; 3], rows: &[[String; 3]]) -> String {
+        let length = |text: &str| text.chars().count();
+        let longest = |at: usize| {
+            let names = rows.iter().map(|row| length(&row[at]));
+            names.chain([length(headings[at])]).max().unwrap_or(0)
+        };
+        let [name_width, value_width, last_width] = [0, 1, 2].map(longest);
+        let is_narrow = name_width + value_width + last_width + 2 > self.width;
+        let line = |[name, value, last]: [&str; 3]| {
+            format!("{name:<name_width$} {value:<value_width$} {last}").trim_end().to_owned() + "\n"
+        };
+        if !is_narrow {
+            let rows = rows.iter().map(|row| line([0, 1, 2].map(|at| row[at].as_str())));
+            return line(headings) + &rows.collect::<String>();
+        }
+        let mut text =
+            if headings[0].is_empty() { String::new() } else { self.wrap(headings[0], NARROW_INDENT) };
+        for [name, value, last] in rows {
+            let last = if last.is_empty() { String::new() } else { format!("{GAP}{}: {last}", headings[2]) };
+            text += &self.wrap(&format!("{name}: {value}{last}"), NARROW_INDENT);
+        }
+        text
     }
 
     /// Wraps a line at its gaps of three spaces, and at words where a part is too long. Further lines are indented.
@@ -164,6 +197,25 @@ mod tests {
         assert_eq!(narrow.lines().collect::<Vec<_>>(), expected);
         for width in 20..120 {
             assert!(style(width).wrap(line, 2).lines().all(|line| line.chars().count() <= width), "{width}");
+        }
+    }
+
+    #[test]
+    fn tables_of_values_become_lines_where_they_do_not_fit() {
+        let rows = [["consistency", "94.1 %", "61.0 %"], ["shared area, mean of pairs", "12.3 m2", ""]];
+        let rows = rows.map(|row| row.map(str::to_owned));
+        let all = |width| style(width).value_table(["agreement", "this run", "by chance"], &rows);
+        assert_eq!(
+            all(80),
+            "agreement                  this run by chance\nconsistency                94.1 %   61.0 %\n\
+             shared area, mean of pairs 12.3 m2\n"
+        );
+        assert_eq!(
+            all(39),
+            "agreement\nconsistency: 94.1 %\n  by chance: 61.0 %\nshared area, mean of pairs: 12.3 m2\n"
+        );
+        for width in 20..60 {
+            assert!(all(width).lines().all(|line| line.chars().count() <= width), "{width}: {}", all(width));
         }
     }
 

@@ -171,18 +171,13 @@ impl Paper {
     }
 
     /// Formats the figures beside those that the paper gives, for a terminal.
-    fn table(&self) -> String {
-        let mut text = format!("\n{:<22} {:<26} the paper\n", "", "this run");
-        for [name, here, there] in self.rows() {
-            text += format!("{name:<22} {here:<26} {there}").trim_end();
-            text.push('\n');
-        }
+    fn table(&self, style: &Style) -> String {
+        let mut text = "\n".to_owned() + &style.value_table(["", "this run", "the paper"], &self.rows());
         if let Some(Teleoperation { commands, commands_hz, turns, held_s, driven_m }) = self.teleoperation {
-            let _ = writeln!(
-                text,
-                "{:<22} {turns} turns, {held_s:.0} s held, {driven_m:.1} m driven, {commands} commands ({commands_hz:.1} Hz)",
-                "teleoperation"
+            let line = format!(
+                "teleoperation: {turns} turns, {held_s:.0} s held, {driven_m:.1} m driven, {commands} commands ({commands_hz:.1} Hz)"
             );
+            text += &style.wrap(&line, 2);
         }
         text
     }
@@ -249,13 +244,13 @@ impl Report {
 
     /// Formats the report for a terminal.
     pub fn summary(&self, style: &Style) -> String {
-        let mut text = format!("\n{:.0} s in {}\n", self.seconds, self.room);
+        let mut text = "\n".to_owned() + &style.wrap(&format!("{:.0} s in {}", self.seconds, self.room), 2);
         if let Some(fleet) = &self.fleet {
             text += &fleet.table(style);
             text += &map_figures(fleet, style);
         }
         if let Some(paper) = &self.paper {
-            text += &paper.table();
+            text += &paper.table(style);
         }
         for map in &self.maps {
             let _ = writeln!(text, "{}.png", map.display());
@@ -269,25 +264,22 @@ impl Report {
 
 /// Formats how well the maps agree with each other and with the room: figures that a wrong merge cannot reach.
 fn map_figures(fleet: &FleetView, style: &Style) -> String {
-    let mut text = String::new();
     let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1} %", 100.0 * v));
-    let _ = writeln!(text, "\n{:<28} {:>9} {:>20}", "agreement of the robots' maps", "this run", "by chance");
-    let rows = [
-        ("consistency", fleet.consistency, fleet.null_consistency_mean),
-        ("consistency within one cell", fleet.consistency_one_cell, None),
-        ("occupied F1 within one cell", fleet.occupied_f1, fleet.null_f1_mean),
-    ];
-    for (name, here, chance) in rows {
-        let _ = writeln!(text, "{name:<28} {:>9} {:>20}", percent(here), percent(chance));
-    }
+    let row = |name: &str, here: String, chance: String| [name.to_owned(), here, chance];
     let shared = fleet.overlap_m2.map_or_else(|| "-".into(), |m2| format!("{m2:.1} m2"));
-    let _ = writeln!(text, "{:<28} {shared:>9}", "shared area, mean of pairs");
+    let rows = [
+        row("consistency", percent(fleet.consistency), percent(fleet.null_consistency_mean)),
+        row("consistency within one cell", percent(fleet.consistency_one_cell), String::new()),
+        row("occupied F1 within one cell", percent(fleet.occupied_f1), percent(fleet.null_f1_mean)),
+        row("shared area, mean of pairs", shared, String::new()),
+    ];
+    let headings = ["agreement of the robots' maps", "this run", "by chance"];
+    let mut text = "\n".to_owned() + &style.value_table(headings, &rows);
     if fleet.null_transforms > 0 {
         let line = format!("by chance: the same maps under {} wrong transforms, mean", fleet.null_transforms);
-        let _ = writeln!(text, "{}", style.wrap(&line, 2));
+        text += &style.wrap(&line, 2);
     }
     if let Some(room) = &fleet.against_room {
-        let _ = writeln!(text, "\n{:<36} {:>9}", "merged map beside the room", "this run");
         let metres = |value: f64| format!("{value:.3} m");
         let rows = [
             ("known, of the observable area", percent(fleet.room_coverage)),
@@ -296,9 +288,9 @@ fn map_figures(fleet: &FleetView, style: &Style) -> String {
             ("from the room's walls to the map's", metres(room.room_to_map_m)),
             ("thickness of walls", metres(room.wall_thickness_m)),
         ];
-        for (name, value) in rows {
-            let _ = writeln!(text, "{name:<36} {value:>9}");
-        }
+        let rows = rows.map(|(name, value)| row(name, value, String::new()));
+        text += "\n";
+        text += &style.value_table(["merged map beside the room", "this run", ""], &rows);
     }
     for robot in fleet.robots.iter().filter(|robot| robot.map_transform_error_m.is_some()) {
         let (m, deg) =
@@ -307,7 +299,7 @@ fn map_figures(fleet: &FleetView, style: &Style) -> String {
             "{}'s map is {m:.3} m and {deg:.2} degrees from its true pose in the merged map",
             robot.robot
         );
-        let _ = writeln!(text, "{}", style.wrap(&line, 2));
+        text += &style.wrap(&line, 2);
     }
     text
 }
@@ -337,6 +329,23 @@ mod tests {
     }
 
     #[test]
+    fn the_summary_fits_a_narrow_terminal() {
+        let mut stats = stats();
+        stats.robots[0].scan_hz = 10.0;
+        let fleet = FleetView::new(&stats);
+        let operator = serde_json::json!({ "commands": 200, "seconds": 10.0, "robots": [] });
+        let elapsed = Duration::from_secs(60);
+        let report = Report::of_figures(&FleetConfig::default(), elapsed, Some(fleet), Some(operator));
+        for width in [39, 60, 79] {
+            let text = report.summary(&Style { width, is_coloured: false });
+            for line in text.lines() {
+                assert!(line.chars().count() <= width, "{width}: `{line}`");
+            }
+            assert!(text.contains("the paper: 8.83 Hz") || width > 60, "{width}: {text}");
+        }
+    }
+
+    #[test]
     fn figures_without_data_are_null_and_not_zero() {
         let paper = Paper::new(Duration::from_secs(60), &FleetView::new(&stats()), None);
         let json = serde_json::to_value(&paper).unwrap();
@@ -353,7 +362,7 @@ mod tests {
             assert!(json[name].is_null(), "{name}: {json:#}");
         }
         assert_eq!(json["duration_s"], 60.0);
-        let text = paper.table();
+        let text = paper.table(&Style::PLAIN);
         assert!(text.contains("no data") && !text.contains("0.000 ms"), "{text}");
     }
 

@@ -4,7 +4,7 @@ use super::page;
 use super::report::Report;
 use crate::command::output::{note, note_text};
 use crate::run::Run;
-use reports::{Emphasis, FleetView, Style, terminal};
+use reports::{Emphasis, FleetView, terminal};
 use std::io::stderr;
 use std::time::{Duration, Instant};
 
@@ -50,7 +50,7 @@ impl Screen {
 
     /// Prints lines, such as messages of processes, above the table.
     pub fn show_lines(&mut self, lines: &[String]) {
-        match terminal::size(&stderr()) {
+        match terminal::redrawn_size(&stderr()) {
             _ if lines.is_empty() => {}
             Some(size) => {
                 let style = terminal::style(&stderr());
@@ -66,7 +66,7 @@ impl Screen {
     pub fn show(&mut self, fleet: &FleetView, help: &str, elapsed: Duration, seconds: Option<f64>) {
         let elapsed = elapsed.as_secs_f64();
         let clock = seconds.map_or(format!("{elapsed:.0} s"), |s| format!("{elapsed:.0} of {s:.0} s"));
-        if let Some(size) = terminal::size(&stderr()) {
+        if let Some(size) = terminal::redrawn_size(&stderr()) {
             let style = terminal::style(&stderr());
             let text = style.wrap(&format!("{clock}   {help}"), 2) + &fleet.live_table(&style);
             self.newest = Some((text, Instant::now()));
@@ -76,7 +76,7 @@ impl Screen {
             self.draw(size);
         } else if self.logged.is_none_or(|logged| logged.elapsed() >= self.log_period) {
             self.logged = Some(Instant::now());
-            note(&format!("{clock}\n{}", fleet.live_table(&Style::PLAIN)));
+            note(&format!("{clock}\n{}", fleet.live_table(&terminal::style(&stderr()))));
         }
     }
 
@@ -84,7 +84,7 @@ impl Screen {
     pub fn show_age(&mut self) {
         let Some((_, came)) = &self.newest else { return };
         let age = came.elapsed();
-        let Some(size) = terminal::size(&stderr()).filter(|_| age >= FIGURES_AGE_MAX) else { return };
+        let Some(size) = terminal::redrawn_size(&stderr()).filter(|_| age >= FIGURES_AGE_MAX) else { return };
         if age.as_secs() > self.age_shown_s {
             self.age_shown_s = age.as_secs();
             let erase = self.erase(size);
@@ -125,7 +125,7 @@ impl Screen {
     /// Prints the summary of the run.
     pub fn end(&mut self, report: &Report) {
         // The summary has the newest figures.
-        let erase = terminal::size(&stderr()).map(|size| self.erase(size)).unwrap_or_default();
+        let erase = terminal::redrawn_size(&stderr()).map(|size| self.erase(size)).unwrap_or_default();
         note_text(&erase);
         self.newest = None;
         note_text(&report.summary(&terminal::style(&stderr())));
