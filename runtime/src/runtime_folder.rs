@@ -184,9 +184,11 @@ pub struct FleetPlace {
 /// dead.
 pub fn create_place(
     outlives_session: bool,
-    remove: impl FnMut(&str, &Path),
+    mut remove: impl FnMut(&str, &Path),
 ) -> Result<FleetPlace, TrustError> {
     let home = home(outlives_session)?;
+    let others = places(false).into_iter().filter(|place| *place != home && is_trusted(place));
+    others.for_each(|place| remove_leftovers(&place, &mut remove));
     let failed = |path: &Path| {
         let path = path.to_path_buf();
         move |why: io::Error| TrustError::Missing { path, why }
@@ -210,6 +212,13 @@ pub fn create_place(
     };
     let locks = [held(Lock::acquire(&root.join(LOCK)))?, held(Lock::acquire_folder(&root))?];
     Ok(FleetPlace { name, root, locks })
+}
+
+/// Calls `remove` for each fleet in a folder whose launcher is dead, unless another launcher makes or removes folders there now.
+fn remove_leftovers(home: &Path, remove: &mut impl FnMut(&str, &Path)) {
+    if let Ok(Some(_turn)) = Lock::acquire(&home.join(LOCK)) {
+        leftovers(home, remove);
+    }
 }
 
 /// Calls `remove` for each fleet in a folder whose launcher is dead.
@@ -311,6 +320,22 @@ mod tests {
         drop((file, folder_lock));
         leftovers(&home, |name, _| found.push(name.to_owned()));
         assert!(!is_alive(&root) && found == ["fleet"], "{found:?}");
+    }
+
+    #[test]
+    fn what_dead_launchers_left_in_other_places_is_removed_in_turn() {
+        let folder = tempfile::tempdir().unwrap();
+        let home = private(folder.path().join("home"));
+        drop(Lock::acquire(&private(home.join("dead")).join(LOCK)).unwrap());
+        let found = || {
+            let mut found = Vec::new();
+            remove_leftovers(&home, &mut |name: &str, _: &Path| found.push(name.to_owned()));
+            found
+        };
+        let turn = Lock::acquire(&home.join(LOCK)).unwrap().unwrap();
+        assert!(found().is_empty(), "another launcher is at it");
+        drop(turn);
+        assert_eq!(found(), ["dead"]);
     }
 
     #[test]
