@@ -94,7 +94,7 @@ pub enum EdgesError {
         run: PathBuf,
     },
     /// The edges cannot be written to standard output.
-    #[error("cannot print the edges: {0}")]
+    #[error(transparent)]
     Print(#[from] std::io::Error),
 }
 

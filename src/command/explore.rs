@@ -85,7 +85,7 @@ pub enum ExploreError {
         reason: String,
     },
     /// The result cannot be written to standard output.
-    #[error("cannot print the result: {0}")]
+    #[error(transparent)]
     Print(#[from] std::io::Error),
 }
 

@@ -108,7 +108,7 @@ pub enum GotoError {
     #[error("{0} has got another goal meanwhile")]
     Replaced(RobotId),
     /// The result cannot be written to standard output.
-    #[error("cannot print the result: {0}")]
+    #[error(transparent)]
     Print(#[from] std::io::Error),
 }
 

@@ -60,9 +60,12 @@ pub enum MergeMapsError {
     #[error("{0} maps; expected 2 to {ROBOTS_MAX}")]
     TooMany(usize),
     /// The result cannot be written to standard output.
-    #[error("cannot print the result: {0}")]
+    #[error(transparent)]
     Print(#[from] std::io::Error),
 }
+
+/// Reason where no place of a map was found that could be judged.
+const NO_COMMON_WALLS: &str = "no common walls found";
 
 /// Best alignment of a map with the merged one, accepted or not.
 struct Place {
@@ -193,7 +196,9 @@ fn place_all(
 /// Formats the alignment as JSON: p_a = R(theta) p_b + (x, y), metres and radians.
 fn as_json(name: &str, place: &Place) -> serde_json::Value {
     let Some(found) = &place.alignment else {
-        return json!({"map": name, "accepted": false, "inliers": 0, "occupied_f1": 0.0, "ms": place.ms});
+        return json!({
+            "map": name, "accepted": false, "refusal": NO_COMMON_WALLS, "inliers": 0, "occupied_f1": 0.0, "ms": place.ms,
+        });
     };
     json!({
         "map": name,
@@ -218,7 +223,7 @@ fn as_json(name: &str, place: &Place) -> serde_json::Value {
 
 fn as_text(name: &str, place: &Place) -> String {
     let Some(found) = &place.alignment else {
-        return format!("{name}: refused: no common walls found ({:.0} ms)", place.ms);
+        return format!("{name}: refused: {NO_COMMON_WALLS} ({:.0} ms)", place.ms);
     };
     let Pose2 { x_m, y_m, yaw_rad } = found.a_from_b;
     let evidence = format!(
@@ -366,6 +371,13 @@ mod tests {
             let [p, q] = whole.view().centre_m(u, v);
             assert!((p - at[0]).hypot(q - at[1]) < 1e-3, "cell {x}, {y} lies elsewhere");
         }
+    }
+
+    #[test]
+    fn a_map_without_a_place_has_the_reason_in_json() {
+        let none = as_json("b.yaml", &Place { alignment: None, ms: 1.0 });
+        assert_eq!(none["refusal"], "no common walls found", "{none}");
+        assert_eq!(none["accepted"], false);
     }
 
     #[test]

@@ -44,7 +44,9 @@ pub fn print(text: &str) -> io::Result<()> {
     match written {
         // The reader closed the pipe, as `head` does: no error.
         Err(why) if why.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        written => written,
+        // Every command says alike what cannot be written.
+        written => written
+            .map_err(|why| io::Error::new(why.kind(), format!("cannot write to standard output: {why}"))),
     }
 }
 

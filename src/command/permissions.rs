@@ -111,7 +111,7 @@ pub enum PermissionError {
         why: String,
     },
     /// The answer cannot be written to standard output.
-    #[error("cannot print the answer: {0}")]
+    #[error(transparent)]
     Print(#[from] std::io::Error),
 }
 

@@ -13,7 +13,7 @@ pub struct RobotChoice(String);
 
 /// The fleet has no such robot.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("run {}: there is no robot {found:?}; this fleet has {robots}", run.display())]
+#[error("run {}: there is no robot `{found}`; this fleet has {robots}", run.display())]
 pub struct RobotChoiceError {
     /// Folder of the run.
     run: PathBuf,

@@ -45,7 +45,7 @@ pub enum RoomCommandError {
     #[error(transparent)]
     Room(#[from] OfferedRoomError),
     /// The answer cannot be written to standard output.
-    #[error("cannot print the answer: {0}")]
+    #[error(transparent)]
     Print(#[from] std::io::Error),
 }
 

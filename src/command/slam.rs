@@ -157,7 +157,7 @@ pub enum SlamCommandError {
     #[error(transparent)]
     Run(#[from] RunError),
     /// The answer cannot be written to standard output.
-    #[error("cannot print the answer: {0}")]
+    #[error(transparent)]
     Print(#[from] std::io::Error),
 }
 

@@ -9,10 +9,10 @@ use crate::observer::Observer;
 use crate::ports::ChannelError;
 use crate::process::control::saved_state::stop_file;
 use crate::process::link::{LinkReport, PeerReport, REPORT_AGE_MAX};
-use crate::progress;
+use crate::progress::{self, ProgressBoard, WatchedThread};
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Participant, Reader, wait};
-use msg::{ExplorationReport, Monotonic, NavigationReport, RobotId};
+use msg::{ExplorationReport, Monotonic, NavigationReport, RobotId, Role};
 use reports::{FleetView, NavigationView};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -58,6 +58,17 @@ pub enum StatusError {
         /// Folder of the run.
         run: PathBuf,
     },
+    /// Telemetry has not begun to work.
+    #[error(
+        "run {}: no figures came within {PATIENCE:?}: telemetry is starting, {age_s:.0} s after the fleet; a large room takes longer; try \
+         again", run.display()
+    )]
+    Starting {
+        /// Folder of the run.
+        run: PathBuf,
+        /// Time since the fleet's start, seconds.
+        age_s: f64,
+    },
     /// The figures were shown, but the bridge did not answer.
     #[error("run {}: {why}; emergency stop, drivers and clients are not known", run.display())]
     BridgeSilent {
@@ -67,7 +78,7 @@ pub enum StatusError {
         why: String,
     },
     /// The figures cannot be written to standard output.
-    #[error("cannot print the figures: {0}")]
+    #[error(transparent)]
     Print(#[from] std::io::Error),
 }
 
@@ -86,9 +97,10 @@ pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
         let heading = format!("run {} on port {}, {age_s:.0} s\n", run.dir.display(), run.port);
         let style = reports::terminal::style(&std::io::stdout());
         let of_link: String = of_link.iter().map(|line| format!("! {line}\n")).collect();
-        let latch = latch_line(&fleet, stop_latched);
+        let heading = style.wrap_lines(&(heading + &of_link), 2);
         let doing = navigation.as_ref().map_or_else(|| SILENT.into(), NavigationView::text);
-        format!("{heading}{of_link}{}{doing}{latch}\n{}", fleet.table(&style), fleet.process_table(&style))
+        let doing = style.wrap_lines(&(doing + latch_line(&fleet, stop_latched)), 2);
+        format!("{heading}{}{doing}\n{}", fleet.table(&style), fleet.process_table(&style))
     };
     let alarms = of_link.iter().cloned().chain(fleet.alarms()).collect();
     let status = Status {
@@ -204,11 +216,26 @@ fn line(peer: &PeerReport) -> Option<String> {
     (!why.is_empty()).then(|| format!("{}: {}", peer.robot, why.join("; ")))
 }
 
+/// Returns why there are no figures: telemetry is starting, if its main thread has not worked yet.
+fn no_figures(run: &Run) -> StatusError {
+    let slots = run.progress_slots();
+    let read = |mut board: ProgressBoard| board.read().map(|()| board);
+    let board = ProgressBoard::open(&run.domain, slots).and_then(read);
+    let telemetry = run.config.processes().position(|(row, _)| row.role == Role::Telemetry);
+    match (board, telemetry) {
+        (Ok(board), Some(telemetry)) if board.entry(telemetry, WatchedThread::Main).count == 0 => {
+            let age_s = crate::clock::now().since(run.begun) as f64 * 1e-9;
+            StatusError::Starting { run: run.dir.clone(), age_s }
+        }
+        _ => StatusError::NoFigures { run: run.dir.clone() },
+    }
+}
+
 fn newest_figures(run: &Run) -> Result<FleetView, StatusError> {
     let mut observer = Observer::attach(run, "status")?;
     let begun = Instant::now();
     while !observer.poll() && !observer.wait(PATIENCE) && begun.elapsed() <= PATIENCE {}
-    let view = observer.fleet_view(run).ok_or_else(|| StatusError::NoFigures { run: run.dir.clone() })?;
+    let view = observer.fleet_view(run).ok_or_else(|| no_figures(run))?;
     observer.changed_edges();
     // Figures without the bridge's state are still worth having.
     let (bridge, bridge_silence) = match control::ask_again(run, Request::State, PATIENCE) {
@@ -216,4 +243,23 @@ fn newest_figures(run: &Run) -> Result<FleetView, StatusError> {
         Err(why) => (None, Some(why.to_string())),
     };
     Ok(FleetView { bridge_silence, ..view.with_edges(observer.merge_edges()).with_bridge(bridge) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::FleetConfig;
+    use crate::shared_memory::DomainGuard;
+
+    #[test]
+    fn telemetry_that_has_not_worked_yet_is_starting() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = Run::create(folder.path(), FleetConfig::default(), 0, false).unwrap();
+        let _guard = DomainGuard::new(run.domain.clone());
+        let _board = ProgressBoard::create(&run.domain, run.progress_slots()).unwrap();
+        let why = no_figures(&run).to_string();
+        assert!(why.contains("telemetry is starting"), "{why}");
+        run.progress(Role::Telemetry, None, WatchedThread::Main).advance();
+        assert!(matches!(no_figures(&run), StatusError::NoFigures { .. }));
+    }
 }

@@ -92,7 +92,7 @@ pub enum ZoneToolError {
         run: PathBuf,
     },
     /// The result cannot be written to standard output.
-    #[error("cannot print the result: {0}")]
+    #[error(transparent)]
     Print(#[from] std::io::Error),
 }
 

@@ -69,7 +69,11 @@ impl<P: Ports> SimulatorProcess<P> {
         // The old pose may touch a table; the robot then begins at its start.
         let mut simulator = match world_from_base {
             Some(pose) => fleet::simulator(&run.config, &room, robot, pose).or_else(|why| {
-                tracing::warn!("{robot} cannot continue from {pose:?} and begins at its start: {why}");
+                tracing::warn!(
+                    "{robot} cannot continue from x {:.3} m, y {:.3} m and begins at its start: {why}",
+                    pose.x_m,
+                    pose.y_m
+                );
                 at_start()
             })?,
             None => at_start()?,

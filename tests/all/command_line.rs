@@ -183,3 +183,15 @@ fn addresses_that_no_client_has_and_zones_that_cross_are_refused_before_anything
         assert!(!ended.status.success() && error.contains(wanted), "{words:?}: {error}");
     }
 }
+
+#[test]
+fn results_that_cannot_be_printed_name_standard_output() {
+    for words in [&["doctor"][..], &["lockstep", "--robots", "1", "--seconds", "1"]] {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let output =
+            mr_slam().args(words).stdout(full).stderr(std::process::Stdio::piped()).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success(), "{words:?}: {told}");
+        assert!(told.contains("cannot write to standard output: No space left"), "{words:?}: {told}");
+    }
+}

@@ -118,6 +118,32 @@ fn no_crate_holds_more_than_its_share_of_the_product_code() {
 }
 
 #[test]
+fn messages_to_people_have_no_debug_output() {
+    let begins = ["tracing::warn!(", "tracing::error!(", "tracing::info!(", "note(&format!(", "#[error("];
+    // Lists of numbers, durations and quoted text read alike in both ways of writing.
+    let plain =
+        ["{PATIENCE:?}", "{normal:?}", "{position:?}", "{rotation:?}", "{rotation_xyzw:?}", "{found:?}"];
+    let mut found = Vec::new();
+    for (_, folder) in crates() {
+        for source in product_files(&folder) {
+            let lines: Vec<&str> = source.text.lines().collect();
+            for (at, _) in
+                lines.iter().enumerate().filter(|(_, line)| begins.iter().any(|b| line.contains(b)))
+            {
+                // To the end of the statement or attribute, of a few lines.
+                let end = lines[at..].iter().take(8).position(|line| line.ends_with([';', ']', ',']));
+                let mut text = lines[at..=at + end.unwrap_or(0)].join("\n");
+                plain.iter().for_each(|known| text = text.replace(known, ""));
+                if text.contains(":?}") {
+                    found.push((source.path.clone(), text));
+                }
+            }
+        }
+    }
+    assert!(found.is_empty(), "write these for people: {found:#?}");
+}
+
+#[test]
 fn bare_string_errors_do_not_grow() {
     let mut found = Vec::new();
     for (_, folder) in crates() {
