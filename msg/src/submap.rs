@@ -94,8 +94,9 @@ pub struct SubmapPoses {
     pub edges_len: u32,
     /// Generation of the submaps, as [`Submap::generation`].
     pub generation: u32,
-    /// Number of the run on the robot's own machine; 0: the robot is of this machine's run. In another run the robot may be
-    /// anywhere, and the frame `robotK/map` is another one, unless its SLAM continues with a saved map.
+    /// Number of the frame `robotK/map`: of the run on the robot's own machine, and of the map that was loaded in it; 0: the robot is of
+    /// this machine's run, and no map of another frame was loaded. With another number the robot may be anywhere, and what was known of
+    /// the frame's place is not valid any more.
     pub run: u32,
     /// Storage of the transforms to `robotK/map` from each submap. Read it by [`SubmapPoses::poses`].
     pub robot_map_from_submap: [Pose2; SUBMAPS_MAX],

@@ -241,7 +241,10 @@ fn load_into_another_fleet(folder: &Folder, map: &Path, kept: &Path, mapped: u64
     for (file, args, mode) in [(map, vec!["--localize"], "localization"), (kept, vec![], "mapping")] {
         let loaded = answer(&dir, "robot1", &[vec!["load", text(file)], args].concat());
         assert_eq!(loaded["mode"], mode, "{loaded}");
-        assert!(loaded["text"].as_str().is_some_and(|text| text.contains("of another run")), "{loaded}");
+        assert!(
+            loaded["text"].as_str().is_some_and(|text| text.contains("merging finds anew where it lies")),
+            "{loaded}"
+        );
         fleet.until("the robot found in what was loaded", |view| {
             let found = located(&dir);
             found && view.robots[0].pose_error_m.is_some_and(|error| error < 0.15)
@@ -258,7 +261,8 @@ fn load_into_another_fleet(folder: &Folder, map: &Path, kept: &Path, mapped: u64
     });
     // After a reset a new map starts in the same frame.
     let reset = answer(&dir, "robot1", &["reset"]);
-    assert!(nodes(&reset) <= 1, "{reset}");
+    // The answer comes when the new map is saved, and it may have grown meanwhile.
+    assert!(nodes(&reset) < mapped, "{reset}");
     fleet.until("a new map", |view| {
         let grown = (2..mapped).contains(&nodes(&answer(&dir, "robot1", &["state"])));
         grown && view.robots[0].pose_error_m.is_some_and(|error| error < 0.20)

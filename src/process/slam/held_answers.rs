@@ -163,7 +163,7 @@ impl WorkerState {
         self.jobs.silence(self.now)
     }
 
-    /// Saves the session at once if it has changed. Returns the number of the save, which `outcome_of_save` takes.
+    /// Saves the session at once if it has changed. Returns the number of the save that has all changes; `None`: nothing is to be saved.
     pub fn save_now(&mut self) -> Option<u64> {
         self.autosave.save_now(self.now)
     }
