@@ -113,7 +113,8 @@ impl Spread {
 impl Teleoperation {
     fn of_json(operator: &serde_json::Value) -> Option<Self> {
         let robots = operator["robots"].as_array()?;
-        let sum = |of: fn(&serde_json::Value) -> Option<f64>| robots.iter().filter_map(of).sum::<f64>();
+        // The sum of nothing is -0.
+        let sum = |of: fn(&serde_json::Value) -> Option<f64>| robots.iter().filter_map(of).sum::<f64>() + 0.0;
         let (commands, seconds) = (operator["commands"].as_u64()?, operator["seconds"].as_f64()?);
         Some(Self {
             commands,
@@ -341,7 +342,8 @@ mod tests {
             for line in text.lines() {
                 assert!(line.chars().count() <= width, "{width}: `{line}`");
             }
-            assert!(text.contains("the paper: 8.83 Hz") || width > 60, "{width}: {text}");
+            assert!(text.contains("the paper: 8.83 Hz") == (width < 60), "{width}: {text}");
+            assert!(!text.contains("-0"), "a sum of nothing has no sign: {text}");
         }
     }
 
