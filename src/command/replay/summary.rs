@@ -108,24 +108,7 @@ impl Summary {
                 s.relocalization.contradicted
             );
         }
-        if let Some(why) = &s.damage {
-            text += &format!("  damaged   {why}\n");
-        }
-        if !s.not_read.is_empty() {
-            text += &format!("  not read  {}\n", s.not_read.join(", "));
-        }
-        if let Some(gaps) = &s.gaps {
-            text += &format!("  pauses    {gaps}\n");
-        }
-        let rejected = s.rejected();
-        if rejected > 0 {
-            text += &format!(
-                "  left out  {rejected} scans whose stamps repeat or go back, or whose geometry is wrong\n"
-            );
-        }
-        if s.left_out.stray_stamps > 0 {
-            text += &format!("  left out  {} scans whose single stamps are wrong\n", s.left_out.stray_stamps);
-        }
+        text += &s.left_out_text();
         if s.not_deskewed > 0 {
             text += &format!(
                 "  skewed    {} scans whose time increment is implausible, or during which the motion is unknown\n",
@@ -150,6 +133,31 @@ impl Summary {
             if let Some(Percentiles { p50, p99, max }) = times {
                 text += &format!("  {name} p50 {p50:.2}, p99 {p99:.2}, max {max:.2} ms\n");
             }
+        }
+        text
+    }
+
+    /// Says what of the log was not read or used, if anything.
+    fn left_out_text(&self) -> String {
+        let s = self;
+        let mut text = String::new();
+        if let Some(why) = &s.damage {
+            text += &format!("  damaged   {why}\n");
+        }
+        if !s.not_read.is_empty() {
+            text += &format!("  not read  {}\n", s.not_read.join(", "));
+        }
+        if let Some(gaps) = &s.gaps {
+            text += &format!("  pauses    {gaps}\n");
+        }
+        let rejected = s.rejected();
+        if rejected > 0 {
+            text += &format!(
+                "  left out  {rejected} scans whose stamps repeat or go back, or whose geometry is wrong\n"
+            );
+        }
+        if s.left_out.stray_stamps > 0 {
+            text += &format!("  left out  {} scans whose single stamps are wrong\n", s.left_out.stray_stamps);
         }
         text
     }
