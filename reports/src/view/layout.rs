@@ -212,7 +212,7 @@ mod tests {
         );
         assert_eq!(
             all(39),
-            "agreement\nconsistency: 94.1 %\n  by chance: 61.0 %\nshared area, mean of pairs: 12.3 m2\n"
+            "agreement\nconsistency: 94.1 %   by chance: 61.0 %\nshared area, mean of pairs: 12.3 m2\n"
         );
         for width in 20..60 {
             assert!(all(width).lines().all(|line| line.chars().count() <= width), "{width}: {}", all(width));
