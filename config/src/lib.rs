@@ -353,15 +353,12 @@ impl FleetConfig {
         (!starts.is_empty()).then(|| starts.iter().map(|[x, y, yaw]| Pose2::new(*x, *y, *yaw)).collect())
     }
 
-    /// Takes the robots' starts from a text of three numbers for each robot, as in `[[1.0, 2.0, 0.5]]`: metres, metres, radians. Returns
-    /// false, and changes nothing, if the text has others, or not as many as robots.
-    pub fn set_starts_from_text(&mut self, text: &str) -> bool {
-        let numbers = text.split(['[', ']', ',', ' ']).filter(|part| !part.is_empty());
-        let numbers: Option<Vec<f64>> = numbers.map(|part| part.parse().ok()).collect();
-        let starts = numbers.filter(|numbers| numbers.len() == 3 * self.fleet.robots).map(|numbers| {
-            numbers.chunks_exact(3).map(|start| [start[0], start[1], start[2]]).collect::<Vec<_>>()
-        });
-        let Some(starts) = starts else { return false };
+    /// Takes the robots' starts in the room: x and y in metres and yaw in radians of each robot. Returns false, and changes nothing, if they
+    /// are not as many as the robots, or not permitted.
+    pub fn set_starts(&mut self, starts: Vec<[f64; 3]>) -> bool {
+        if starts.len() != self.fleet.robots {
+            return false;
+        }
         let before = std::mem::replace(&mut self.fleet.starts, starts);
         let is_sound = self.fleet.check().is_ok();
         if !is_sound {

@@ -81,7 +81,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
             break;
         }
     }
-    let hash: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    let hash = format!("{:x}", hash.finalize());
     let faster = fleet.now().seconds() / begun.elapsed().as_secs_f64().max(1e-9);
     let written = args.run_dir.as_ref().map_or(Ok(()), |dir| write_results(dir, &config, &mut fleet));
     let maps_hash = record::map_hash(fleet.maps());

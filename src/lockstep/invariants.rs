@@ -273,7 +273,7 @@ pub fn check(
         });
         checker.check_bounds(&fleet);
     }
-    let sha256 = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    let sha256 = format!("{:x}", hash.finalize());
     Ok(FaultReport { sha256, violations: checker.finish(&fleet) })
 }
 

@@ -70,7 +70,7 @@ pub fn map_hash<'a>(maps: impl Iterator<Item = (&'a str, msg::GridView<'a>)>) ->
         }
         hash.update(bytemuck::cast_slice::<i8, u8>(map.cells));
     }
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    format!("{:x}", hash.finalize())
 }
 
 /// What a recording has, and what it lacks.

@@ -38,7 +38,7 @@ fn run(config: &FleetConfig, faults: FaultPlan, seconds: u32) -> (Vec<MovingObje
             }
         });
     }
-    (seen, hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    (seen, format!("{:x}", hash.finalize()))
 }
 
 #[test]

@@ -60,7 +60,7 @@ impl RoomFiles {
             }
             Content::Scan(bytes) => hash.update(bytes),
         }
-        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+        format!("{:x}", hash.finalize())
     }
 
     /// Returns the path of the room in the copy that a run's folder has.

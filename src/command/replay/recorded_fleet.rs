@@ -129,7 +129,8 @@ fn with_recorded_room(path: &Path, config: &FleetConfig) -> Result<(FleetConfig,
     let room = RecordedRoom::compare(&config.fleet.room, recorded(ROOM_SHA256).map(String::as_str));
     room.note(&config.fleet.room).iter().for_each(|note| output::note(note));
     if config.fleet.starts.is_empty() {
-        let is_known = recorded(STARTS).is_some_and(|text| config.set_starts_from_text(text));
+        let starts = recorded(STARTS).and_then(|text| serde_json::from_str(text).ok());
+        let is_known = starts.is_some_and(|starts| config.set_starts(starts));
         if !is_known && !room.is_usable() {
             return Err(ReplayError::Replay(
                 "the recording does not say where the robots started; expected the room of the recorded run"

@@ -16,7 +16,7 @@ pub const EPOCH: &str = "epoch_monotonic_ns";
 
 /// Key of the digest of the room's files; missing for a room without files.
 pub const ROOM_SHA256: &str = "room_sha256";
-/// Key of the simulated robots' starts in the room: x and y in metres and yaw in radians of each robot.
+/// Key of the simulated robots' starts in the room: x and y in metres and yaw in radians of each robot, as JSON.
 pub const STARTS: &str = "starts";
 
 /// Describes a run: configuration, room with its digest, starts, seed, version and machine.
@@ -28,7 +28,7 @@ pub fn of_run(run: &Run) -> BTreeMap<String, String> {
     let starts = || fleet::room(config).and_then(|room| fleet::starts(config, &room)).ok();
     let starts = is_simulated.then(starts).flatten().map(|starts| {
         let starts: Vec<_> = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
-        format!("{starts:?}")
+        serde_json::json!(starts).to_string()
     });
     let of_room = [digest.map(|digest| (ROOM_SHA256, digest)), starts.map(|starts| (STARTS, starts))];
     let entries = [

@@ -36,8 +36,10 @@ pub(super) struct Autosave {
     saved: bool,
     /// The error that was reported last: it is not reported again.
     reported: Option<String>,
-    /// Number of saves that were begun, and of the newest one that has ended.
-    counts: [u64; 2],
+    /// Number of saves that were begun.
+    begun: u64,
+    /// Number of the newest save that has ended.
+    ended: u64,
 }
 
 impl Autosave {
@@ -56,7 +58,8 @@ impl Autosave {
             turn,
             saved: false,
             reported: None,
-            counts: [0; 2],
+            begun: 0,
+            ended: 0,
         }
     }
 
@@ -87,12 +90,12 @@ impl Autosave {
             return None;
         }
         self.due = self.due.min(now);
-        Some(self.counts[0] + 1)
+        Some(self.begun + 1)
     }
 
-    /// Returns why this save failed, or `None` in it if it did not; `None` if it has not ended.
-    pub fn outcome(&self, save: u64) -> Option<Option<&str>> {
-        (self.counts[1] >= save).then_some(self.error())
+    /// Returns whether this save succeeded, or why it failed; `None`: it has not ended.
+    pub fn outcome(&self, save: u64) -> Option<Result<(), &str>> {
+        (self.ended >= save).then(|| self.error().map_or(Ok(()), Err))
     }
 
     /// Why the last save failed, if it did.
@@ -101,7 +104,7 @@ impl Autosave {
     }
 
     pub fn begin(&mut self, now: Monotonic) {
-        self.counts[0] += 1;
+        self.begun += 1;
         (self.busy_since, self.changed) = (Some(now), false);
     }
 
@@ -123,7 +126,7 @@ impl Autosave {
 
     pub fn finish(&mut self, outcome: &FileJobOutcome, now: Monotonic) {
         self.busy_since = None;
-        self.counts[1] = self.counts[0];
+        self.ended = self.begun;
         if std::mem::take(&mut self.is_slow_told) {
             tracing::warn!("slam: the disk answers again, after {:.0} s", outcome.took.as_secs_f64());
         }

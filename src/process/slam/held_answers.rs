@@ -91,8 +91,8 @@ impl HeldAnswers {
         }
         for change in std::mem::take(&mut self.changes) {
             let outcome = match state.outcome_of_save(change.save) {
-                Some(None) => RequestOutcome::Done(change.text),
-                Some(Some(why)) => not_saved(&change.text, &why),
+                Some(Ok(())) => RequestOutcome::Done(change.text),
+                Some(Err(why)) => not_saved(&change.text, why),
                 None if waited(change.since) < DISK_PATIENCE => {
                     self.changes.push(change);
                     continue;
@@ -168,8 +168,8 @@ impl WorkerState {
         self.autosave.save_now(self.now)
     }
 
-    /// Returns why this save failed, or `None` in it if it did not; `None` if it has not ended.
-    pub fn outcome_of_save(&self, save: u64) -> Option<Option<String>> {
-        self.autosave.outcome(save).map(|why| why.map(str::to_owned))
+    /// Returns whether this save succeeded, or why it failed; `None`: it has not ended.
+    pub fn outcome_of_save(&self, save: u64) -> Option<Result<(), &str>> {
+        self.autosave.outcome(save)
     }
 }
