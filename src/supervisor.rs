@@ -115,25 +115,25 @@ impl Supervisor {
     }
 
     /// Detects children that ended or hang, and starts again those that are due. Never blocks. A robot's process gets the pose
-    /// where it was `last_seen`. `tell` is called with each event.
-    pub fn tend(&mut self, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
-        self.keep_folder(tell);
+    /// where it was `last_seen`. `notify` is called with each event.
+    pub fn tend(&mut self, last_seen: LastSeen<'_>, notify: &mut dyn FnMut(String)) {
+        self.keep_folder(notify);
         if self.folder_error.is_none() {
-            self.keep_starts(tell);
+            self.keep_starts(notify);
         }
         let mut died = false;
         for member in &mut self.members {
-            died |= notice_death(member, tell);
+            died |= notice_death(member, notify);
         }
         let clean_up = || self.run.domain.clean_up_after_the_dead();
         let may_start = self.cleaning.may_start(died, now(), clean_up);
-        self.replace_hung(tell);
+        self.replace_hung(notify);
         let mut order: Vec<usize> = (0..self.members.len()).collect();
         order.sort_by_key(|index| start_rank(self.members[*index].row.role));
         for index in order {
             // The bridge waits itself for its places in channels: real robots drive on until it stops them.
             if may_start || self.members[index].row.role == Role::Bridge {
-                self.start_if_due(index, last_seen, tell);
+                self.start_if_due(index, last_seen, notify);
             }
             // The next poll says it again if this one cannot.
             let _ = self.progress.set_failing(index, self.members[index].policy.is_failing(now()));
@@ -146,17 +146,17 @@ impl Supervisor {
     }
 
     /// Makes the run's folder anew if it is gone: the children that are started again read it.
-    fn keep_folder(&mut self, tell: &mut dyn FnMut(String)) {
+    fn keep_folder(&mut self, notify: &mut dyn FnMut(String)) {
         let dir = self.run.dir.display();
         let error_before = self.folder_error.take();
         match restore_folder(&self.run) {
             Ok(None) if error_before.is_some() => {
-                tell(format!("the run's folder {dir} can be used again"));
+                notify(format!("the run's folder {dir} can be used again"));
                 self.retry_failing();
             }
             Ok(None) => {}
             Ok(Some(lock)) => {
-                tell(format!(
+                notify(format!(
                     "the run's folder {dir} was moved or deleted and is made anew, without what was saved there; \
                      a bridge that is started again stops the robots"
                 ));
@@ -165,7 +165,7 @@ impl Supervisor {
             }
             Err(why) => {
                 if error_before.is_none() {
-                    tell(format!(
+                    notify(format!(
                         "no process can be started again until the run's folder can be used: {why}"
                     ));
                 }
@@ -176,7 +176,7 @@ impl Supervisor {
 
     /// Writes the robots' starts again if they are gone, with the folder for sessions: without them a later run does not know how the
     /// maps lie to each other.
-    fn keep_starts(&mut self, tell: &mut dyn FnMut(String)) {
+    fn keep_starts(&mut self, notify: &mut dyn FnMut(String)) {
         let folder = sessions::folder(&self.run);
         if sessions::has_starts(&folder) {
             self.starts_error = None;
@@ -186,14 +186,14 @@ impl Supervisor {
         let written = sessions::write_starts(&folder, &self.starts, is_own_frame);
         let dir = folder.display();
         match written {
-            Ok(()) => tell(format!(
+            Ok(()) => notify(format!(
                 "the robots' starts in {dir} were moved or deleted and are written again; sessions that are gone, too, \
                  come back with the next change of their map, or at the end"
             )),
             Err(why) => {
                 let why = why.to_string();
                 if self.starts_error.as_ref() != Some(&why) {
-                    tell(format!("sessions in {dir} are not complete: {why}; it is tried again"));
+                    notify(format!("sessions in {dir} are not complete: {why}; it is tried again"));
                 }
                 self.starts_error = Some(why);
             }
@@ -210,7 +210,7 @@ impl Supervisor {
     }
 
     /// Kills children that hang, so that they are started again, and reports those that are slow.
-    fn replace_hung(&mut self, tell: &mut dyn FnMut(String)) {
+    fn replace_hung(&mut self, notify: &mut dyn FnMut(String)) {
         // Without the counters nobody can be judged. The next poll reads them again.
         if self.progress.read().is_err() {
             return;
@@ -233,7 +233,7 @@ impl Supervisor {
                     Some(name) => format!("the {name} thread of the {}", member.row.title(member.robot)),
                     None => format!("the {}", member.row.title(member.robot)),
                 };
-                tell(format!("{who} {finding}"));
+                notify(format!("{who} {finding}"));
                 if matches!(finding, Finding::Hung { .. }) {
                     let _ = child.kill();
                     break;
@@ -242,7 +242,7 @@ impl Supervisor {
         }
     }
 
-    fn start_if_due(&mut self, index: usize, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
+    fn start_if_due(&mut self, index: usize, last_seen: LastSeen<'_>, notify: &mut dyn FnMut(String)) {
         let Member { row, robot, ref policy, .. } = self.members[index];
         // A child reads the run's folder. Without it, its death would say nothing of the child.
         if self.folder_error.is_some() || !policy.is_due(now()) {
@@ -260,8 +260,8 @@ impl Supervisor {
                 member.child = Some(child);
             }
             Err(why) => {
-                tell(format!("cannot start the {}: {why}", member.name()));
-                record_death(member, tell);
+                notify(format!("cannot start the {}: {why}", member.name()));
+                record_death(member, notify);
             }
         }
     }
@@ -298,8 +298,8 @@ impl Supervisor {
     }
 
     /// Asks every child to end, kills those that do not, and removes the run's shared memory. A further request of `stop` leaves them
-    /// a short time. `tell` is called with what is waited for. Returns what is not saved.
-    pub fn end(&mut self, stop: &Stop, tell: &mut dyn FnMut(String)) -> Vec<String> {
+    /// a short time. `notify` is called with what is waited for. Returns what is not saved.
+    pub fn end(&mut self, stop: &Stop, notify: &mut dyn FnMut(String)) -> Vec<String> {
         let children = || self.members.iter().filter_map(|member| member.child.as_ref());
         children().for_each(|child| signal(child, Signal::TERM));
         let (mut patience, mut lost) = (EndGrace::new(now()), Vec::new());
@@ -308,14 +308,16 @@ impl Supervisor {
             let grace = if unsaved.is_some() { WRITER_END_GRACE } else { END_GRACE };
             let name = member.name();
             let Some(child) = member.child.as_mut() else { continue };
-            let mut is_told = false;
+            let mut is_reported = false;
             while matches!(child.try_wait(), Ok(None)) && !patience.is_over(grace, now()) {
                 if stop.is_requested_again() {
                     patience.hurry(now());
                 }
-                if patience.elapsed(now()) >= END_GRACE && !std::mem::replace(&mut is_told, true) {
+                if patience.elapsed(now()) >= END_GRACE && !std::mem::replace(&mut is_reported, true) {
                     let short_s = END_GRACE.as_secs();
-                    tell(format!("ending: waiting for the {name}; Ctrl-C again kills it after {short_s} s"));
+                    notify(format!(
+                        "ending: waiting for the {name}; Ctrl-C again kills it after {short_s} s"
+                    ));
                 }
                 std::thread::sleep(Duration::from_millis(5));
             }
@@ -324,7 +326,7 @@ impl Supervisor {
                 let why = if patience.is_hurried() { ", as a second request asked" } else { "" };
                 let elapsed_s = patience.elapsed(now()).as_secs();
                 let text = format!("the {name} had not ended after {elapsed_s} s and was killed{why}");
-                tell(text.clone());
+                notify(text.clone());
                 lost.extend(unsaved.map(|unsaved| format!("{text}: {unsaved}")));
             }
             let _ = child.kill();
@@ -363,18 +365,18 @@ fn watchdogs(row: &ProcessRow, now: Monotonic) -> [Watchdog; WatchedThread::COUN
     [row.silence_max, SECOND_SILENCE_MAX].map(|silence_max| Watchdog::new(START_MAX, silence_max, now))
 }
 
-fn notice_death(member: &mut Member, tell: &mut dyn FnMut(String)) -> bool {
+fn notice_death(member: &mut Member, notify: &mut dyn FnMut(String)) -> bool {
     let Some(child) = &mut member.child else { return false };
     let Ok(Some(status)) = child.try_wait() else { return false };
     member.child = None;
-    tell(format!("the {} ended ({})", member.name(), describe_end(status)));
-    record_death(member, tell);
+    notify(format!("the {} ended ({})", member.name(), describe_end(status)));
+    record_death(member, notify);
     true
 }
 
-fn record_death(member: &mut Member, tell: &mut dyn FnMut(String)) {
+fn record_death(member: &mut Member, notify: &mut dyn FnMut(String)) {
     if member.policy.on_death(now()) {
-        tell(format!("the {} {}", member.name(), failing_text()));
+        notify(format!("the {} {}", member.name(), failing_text()));
     }
 }
 

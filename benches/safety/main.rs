@@ -208,8 +208,8 @@ fn vanish(
     let bridge = fleet.bridge()?;
     let mut last = None;
     match way {
-        Vanishing::TcpClose => operator.tell("close")?,
-        Vanishing::TcpSilence => operator.tell("silence")?,
+        Vanishing::TcpClose => operator.notify("close")?,
+        Vanishing::TcpSilence => operator.notify("silence")?,
         Vanishing::TcpFrozen => operator.signal(Signal::STOP),
         Vanishing::DdsKilled => operator.signal(Signal::KILL),
         Vanishing::CutLink => {

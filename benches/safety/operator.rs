@@ -58,7 +58,7 @@ impl Operator {
     }
 
     /// Says a word to the operator: `close` or `silence`.
-    pub fn tell(&mut self, word: &str) -> Result<(), Box<dyn Error>> {
+    pub fn notify(&mut self, word: &str) -> Result<(), Box<dyn Error>> {
         let input = self.process.stdin.as_mut().ok_or("no standard input")?;
         Ok(writeln!(input, "{word}")?)
     }

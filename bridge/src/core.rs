@@ -205,7 +205,7 @@ impl Core {
         for call in self.services.remove_expired(now) {
             self.fail_call(&call, "no answer came in time");
         }
-        self.tell_unpublished(now);
+        self.report_unpublished(now);
         self.tick_actions(now);
         self.fleet.tick(&mut self.router, now);
         self.router.retry_held();

@@ -149,7 +149,7 @@ impl Service {
     /// Returns whether a response can say that the call failed.
     ///
     /// SLAM Toolbox's DeserializePoseGraph has an empty response, which reads as success: such a call that fails gets none.
-    pub fn can_tell_failure(self) -> bool {
+    pub fn can_report_failure(self) -> bool {
         self != Self::LoadSession
     }
 

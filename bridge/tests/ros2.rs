@@ -338,9 +338,9 @@ fn nothing_is_taken_while_two_robots_send_under_one_name_and_the_operator_is_tol
         while taken_x_m.borrow().is_empty() {
             send(&[(&one, 1.0)]).await;
         }
-        let is_told =
+        let is_reported =
             || bridge.take_events().iter().any(|event| event.contains("from two publishers at once"));
-        while !is_told() {
+        while !is_reported() {
             send(&[(&one, 1.0), (&two, 9.0)]).await;
         }
         assert!(!taken_x_m.borrow().contains(&9.0));

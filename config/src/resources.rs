@@ -72,13 +72,13 @@ pub struct Finding {
 
 /// Compares free shared memory with the need of a fleet.
 pub fn check_shared_memory(config: &FleetConfig) -> Option<Finding> {
-    judge_shared_memory(
+    check_shared_memory_of(
         free_bytes(Path::new(SHARED_MEMORY))?,
         shared_memory_need(config.fleet.robots, config.world.is_external()),
     )
 }
 
-fn judge_shared_memory(free: u64, need: SharedMemoryNeed) -> Option<Finding> {
+fn check_shared_memory_of(free: u64, need: SharedMemoryNeed) -> Option<Finding> {
     let shortage = Shortage::SharedMemory { free, need };
     (free < need.most).then_some(Finding { shortage, is_fatal: free < need.least })
 }
@@ -92,10 +92,10 @@ pub fn check_descriptors(config: &FleetConfig) -> Option<Finding> {
         limit = wished;
     }
     let transports = 1 + u64::from(config.bridge.dds.enabled);
-    judge_descriptors(limit, transports * config.fleet.robots as u64)
+    check_descriptors_of(limit, transports * config.fleet.robots as u64)
 }
 
-fn judge_descriptors(limit: u64, robot_transports: u64) -> Option<Finding> {
+fn check_descriptors_of(limit: u64, robot_transports: u64) -> Option<Finding> {
     let need = DESCRIPTORS_BASE + DESCRIPTORS_PER_ROBOT * robot_transports;
     let shortage = Shortage::Descriptors { limit, need };
     (limit < need).then_some(Finding { shortage, is_fatal: true })
@@ -103,10 +103,10 @@ fn judge_descriptors(limit: u64, robot_transports: u64) -> Option<Finding> {
 
 /// Compares the free room in the run's folder with the need of a fleet.
 pub fn check_disk(folder: &Path, config: &FleetConfig) -> Option<Finding> {
-    judge_disk(folder, free_bytes(folder)?, config.fleet.robots)
+    check_disk_of(folder, free_bytes(folder)?, config.fleet.robots)
 }
 
-fn judge_disk(folder: &Path, free: u64, robots: usize) -> Option<Finding> {
+fn check_disk_of(folder: &Path, free: u64, robots: usize) -> Option<Finding> {
     let need = DISK_PER_ROBOT * robots as u64;
     let shortage = Shortage::Disk { folder: folder.to_owned(), free, need };
     (free < need).then_some(Finding { shortage, is_fatal: free < DISK_LEAST })
@@ -131,17 +131,17 @@ impl ResourceMonitor {
         Self { folder: folder.to_owned(), polled: None, is_short: [false; 2] }
     }
 
-    /// Looks at the free bytes once a second, and calls `tell` with what has changed. Returns whether there is room again.
-    pub fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool {
+    /// Looks at the free bytes once a second, and calls `notify` with what has changed. Returns whether there is room again.
+    pub fn poll(&mut self, notify: &mut dyn FnMut(String)) -> bool {
         if self.polled.is_some_and(|polled| polled.elapsed() < POLL_PERIOD) {
             return false;
         }
         self.polled = Some(Instant::now());
         let free = [free_bytes(Path::new(SHARED_MEMORY)), free_bytes(&self.folder)];
-        self.judge(free, tell)
+        self.check(free, notify)
     }
 
-    fn judge(&mut self, free: [Option<u64>; 2], tell: &mut dyn FnMut(String)) -> bool {
+    fn check(&mut self, free: [Option<u64>; 2], notify: &mut dyn FnMut(String)) -> bool {
         let mut has_room_again = false;
         let disk = self.folder.display().to_string();
         let consequences = [
@@ -155,11 +155,11 @@ impl ResourceMonitor {
             let now_short = free < NEARLY_FULL;
             match (*is_short, now_short) {
                 (false, true) => {
-                    tell(format!("{place} is nearly full ({} free): {consequence}", megabytes(free)))
+                    notify(format!("{place} is nearly full ({} free): {consequence}", megabytes(free)))
                 }
                 (true, false) => {
                     has_room_again = true;
-                    tell(format!("{place} has room again ({} free)", megabytes(free)));
+                    notify(format!("{place} has room again ({} free)", megabytes(free)));
                 }
                 _ => {}
             }
@@ -176,27 +176,27 @@ mod tests {
     #[test]
     fn a_shortage_names_what_is_free_what_is_needed_and_what_helps() {
         let need = SharedMemoryNeed { least: 10_000_000, most: 60_000_000 };
-        assert_eq!(judge_shared_memory(60_000_000, need), None);
-        let warning = judge_shared_memory(30_000_000, need).unwrap();
+        assert_eq!(check_shared_memory_of(60_000_000, need), None);
+        let warning = check_shared_memory_of(30_000_000, need).unwrap();
         assert!(!warning.is_fatal);
-        let fatal = judge_shared_memory(5_000_000, need).unwrap();
+        let fatal = check_shared_memory_of(5_000_000, need).unwrap();
         let words = fatal.shortage.to_string();
         assert!(fatal.is_fatal && words.contains("5.0 MB free") && words.contains("remount"), "{words}");
-        assert_eq!(judge_descriptors(1024, 3), None);
-        let words = judge_descriptors(64, 3).unwrap().shortage.to_string();
+        assert_eq!(check_descriptors_of(1024, 3), None);
+        let words = check_descriptors_of(64, 3).unwrap().shortage.to_string();
         assert!(words.contains("may open 64 files") && words.contains("ulimit"), "{words}");
-        assert!(judge_disk(Path::new("/run"), 0, 1).unwrap().is_fatal);
-        assert!(!judge_disk(Path::new("/run"), DISK_LEAST, 1).unwrap().is_fatal);
+        assert!(check_disk_of(Path::new("/run"), 0, 1).unwrap().is_fatal);
+        assert!(!check_disk_of(Path::new("/run"), DISK_LEAST, 1).unwrap().is_fatal);
     }
 
     #[test]
     fn a_full_file_system_is_reported_once_and_its_end_too() {
         let mut monitor = ResourceMonitor::new(Path::new("/run"));
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         let judged = [1 << 30, 100, 50, 1 << 30]
-            .map(|free| monitor.judge([Some(free), None], &mut |event| told.push(event)));
+            .map(|free| monitor.check([Some(free), None], &mut |event| reported.push(event)));
         assert_eq!(judged, [false, false, false, true]);
-        assert_eq!(told.len(), 2, "{told:?}");
-        assert!(told[0].contains("SIGBUS") && told[1].contains("room again"), "{told:?}");
+        assert_eq!(reported.len(), 2, "{reported:?}");
+        assert!(reported[0].contains("SIGBUS") && reported[1].contains("room again"), "{reported:?}");
     }
 }

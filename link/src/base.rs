@@ -2,7 +2,7 @@
 
 use crate::content::{compress, decode, encode};
 use crate::counters::ByteCounters;
-use crate::leadership::{Leadership, Verdict};
+use crate::leadership::{Leadership, PeerDecision};
 use crate::part::{self, PartContent, PartKey};
 use crate::peer::{Peer, STATE_PERIOD, Timer};
 use crate::receiver::{PartChange, PartReceiver};
@@ -200,10 +200,10 @@ impl BaseEnd {
     pub fn receive(&mut self, bytes: &[u8], now: Monotonic) -> Result<Vec<BaseEvent>, WireError> {
         let envelope = self.peer.read(bytes)?;
         let mut events = Vec::new();
-        match self.leadership.judge(envelope.session, now) {
-            Verdict::Refused => return Ok(events),
-            Verdict::Accepted => {}
-            Verdict::TakenOver { before } => {
+        match self.leadership.admit(envelope.session, now) {
+            PeerDecision::Refused => return Ok(events),
+            PeerDecision::Accepted => {}
+            PeerDecision::TakenOver { before } => {
                 self.peer.heard = Monotonic(0);
                 self.robot_state.is_of_session = false;
                 events.push(BaseEvent::RobotJoined { robot: envelope.session, before });

@@ -16,7 +16,7 @@ const CONTESTED_AFTER: Duration = Duration::from_secs(5);
 
 /// Whether a message counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum PeerDecision {
     /// It is from the peer that leads.
     Accepted,
     /// It is from a peer that leads from now on; another session led before, or none.
@@ -39,21 +39,21 @@ pub struct Leadership {
 }
 
 impl Leadership {
-    /// Judges a message of the peer `session` that arrived `now`.
-    pub fn judge(&mut self, session: u64, now: Monotonic) -> Verdict {
+    /// Decides about a message of the peer `session` that arrived `now`.
+    pub fn admit(&mut self, session: u64, now: Monotonic) -> PeerDecision {
         match self.leader {
             Some((leader, _)) if leader == session => {
                 self.leader = Some((session, now));
-                Verdict::Accepted
+                PeerDecision::Accepted
             }
             Some((_, heard)) if now.since(heard) < SILENCE_MAX.as_nanos() as u64 => {
                 self.refused += 1;
                 self.contest = Some(Series::with(self.contest_series(now), now));
-                Verdict::Refused
+                PeerDecision::Refused
             }
             before => {
                 (self.leader, self.contest) = (Some((session, now)), None);
-                Verdict::TakenOver { before: before.map(|(session, _)| session) }
+                PeerDecision::TakenOver { before: before.map(|(session, _)| session) }
             }
         }
     }
@@ -99,12 +99,12 @@ mod tests {
     #[test]
     fn a_second_base_is_refused_until_the_first_is_silent() {
         let mut leadership = Leadership::default();
-        assert_eq!(leadership.judge(7, at(0)), Verdict::TakenOver { before: None });
-        assert_eq!(leadership.judge(8, at(100)), Verdict::Refused);
-        assert_eq!(leadership.judge(7, at(200)), Verdict::Accepted);
-        assert_eq!(leadership.judge(8, at(3_100)), Verdict::Refused);
-        assert_eq!(leadership.judge(8, at(3_200)), Verdict::TakenOver { before: Some(7) });
-        assert_eq!(leadership.judge(7, at(3_300)), Verdict::Refused);
+        assert_eq!(leadership.admit(7, at(0)), PeerDecision::TakenOver { before: None });
+        assert_eq!(leadership.admit(8, at(100)), PeerDecision::Refused);
+        assert_eq!(leadership.admit(7, at(200)), PeerDecision::Accepted);
+        assert_eq!(leadership.admit(8, at(3_100)), PeerDecision::Refused);
+        assert_eq!(leadership.admit(8, at(3_200)), PeerDecision::TakenOver { before: Some(7) });
+        assert_eq!(leadership.admit(7, at(3_300)), PeerDecision::Refused);
         assert_eq!((leadership.session(), leadership.refused), (Some(8), 3));
     }
 

@@ -2,8 +2,7 @@
 
 use crate::battery::WaitingBattery;
 use crate::counters::ByteCounters;
-use crate::leadership::{Leadership, Verdict};
-use crate::obedience::Obedience;
+use crate::leadership::{Leadership, PeerDecision};
 use crate::part::{PartContent, PartKey};
 use crate::peer::{Peer, STATE_PERIOD, Timer};
 use crate::scan::ScanRate;
@@ -11,6 +10,7 @@ use crate::scan_throttle::ScanThrottle;
 use crate::sender::{PartSender, SenderConfig};
 use crate::stop::{StopFollower, StopRequest};
 use crate::table::Kind;
+use crate::velocity_admission::VelocityAdmission;
 use crate::wire::{BaseState, Message, RobotState, WireError, address};
 use msg::{
     Battery, Header, MapHeader, Monotonic, PoseEstimate, Scan, Submap, SubmapPoses, TileMap, Transforms,
@@ -87,7 +87,7 @@ pub struct RobotEnd {
     leadership: Leadership,
     follower: StopFollower,
     local: LocalControl,
-    obedience: Obedience,
+    admission: VelocityAdmission,
     sender: PartSender,
     newest: Newest,
     scans: ScanThrottle,
@@ -105,7 +105,7 @@ impl RobotEnd {
             leadership: Leadership::default(),
             follower: StopFollower::default(),
             local: LocalControl::default(),
-            obedience: Obedience::default(),
+            admission: VelocityAdmission::default(),
             sender: PartSender::new(config),
             newest: Newest::default(),
             scans: ScanThrottle::new(scans),
@@ -141,7 +141,7 @@ impl RobotEnd {
 
     /// Sets who controls the robot at its own machine. A change is told to the base at once.
     pub fn set_local_control(&mut self, local: LocalControl) {
-        if local.is_stopped.is_some() && self.obedience.set_interruptions(local.interruptions)
+        if local.is_stopped.is_some() && self.admission.set_interruptions(local.interruptions)
             || local != self.local
         {
             self.timers.state = Timer::new(STATE_PERIOD);
@@ -151,17 +151,17 @@ impl RobotEnd {
 
     /// Returns the number of velocities of the base that came too late to be obeyed.
     pub fn late_velocities(&self) -> u64 {
-        self.obedience.late_count
+        self.admission.late_count
     }
 
     /// Returns whether all of the base's velocities come too late to be obeyed.
     pub fn is_late(&self, now: Monotonic) -> bool {
-        self.obedience.is_late(now)
+        self.admission.is_late(now)
     }
 
     /// Returns whether the base has accepted another machine that bears this robot's name, and obeys nothing of this one.
     pub fn is_refused(&self) -> bool {
-        self.obedience.is_refused()
+        self.admission.is_refused()
     }
 
     /// Takes a message of a base. Velocities that waited on the way ask for nothing, nor does a second base but for its emergency
@@ -169,15 +169,15 @@ impl RobotEnd {
     pub fn receive(&mut self, bytes: &[u8], now: Monotonic) -> Result<Vec<RobotEvent>, WireError> {
         let envelope = self.peer.read(bytes)?;
         let mut events = Vec::new();
-        match self.leadership.judge(envelope.session, now) {
-            Verdict::Refused => {
+        match self.leadership.admit(envelope.session, now) {
+            PeerDecision::Refused => {
                 if let Message::BaseState(state) = envelope.message {
                     events.extend(self.follow_stop(envelope.session, state, now));
                 }
                 return Ok(events);
             }
-            Verdict::Accepted => {}
-            Verdict::TakenOver { before } => {
+            PeerDecision::Accepted => {}
+            PeerDecision::TakenOver { before } => {
                 self.sender.forget_list();
                 self.scans.set_asked(None);
                 self.peer.heard = Monotonic(0);
@@ -185,13 +185,13 @@ impl RobotEnd {
             }
         }
         (self.peer.heard, self.peer.to) = (self.peer.heard.max(envelope.sent), address(envelope.session));
-        let is_ours = self.obedience.is_addressed(envelope.to, address(self.peer.session), now);
+        let is_ours = self.admission.is_addressed(envelope.to, address(self.peer.session), now);
         match envelope.message {
             Message::BaseState(state) => {
                 self.scans.set_asked(state.scans);
                 events.extend(self.follow_stop(envelope.session, state, now));
             }
-            Message::Velocity(command) if is_ours && self.obedience.judge(envelope.answers, now) => {
+            Message::Velocity(command) if is_ours && self.admission.admit(envelope.answers, now) => {
                 events.push(RobotEvent::Velocity(command));
             }
             Message::Held(page) => drop(self.sender.receive_list(page, envelope.session)),
@@ -316,8 +316,8 @@ impl RobotEnd {
             is_known: self.local.is_stopped.is_some(),
             is_own_stop: is_stopped && self.follower.is_own(self.leadership.session(), now),
             is_driven_by_hand: self.local.is_driven_by_hand,
-            is_late: self.obedience.is_late(now),
-            interruptions: self.obedience.tell_interruptions(now),
+            is_late: self.admission.is_late(now),
+            interruptions: self.admission.report_interruptions(now),
         }
     }
 

@@ -31,7 +31,7 @@ const PROTOCOLS_MS: [i64; 2] = [8000, 4000];
 /// Pause before they are tried again.
 const PROTOCOLS_PAUSE: Duration = Duration::from_millis(500);
 /// Time between two warnings that there is no connection.
-const TELL_PERIOD: Duration = Duration::from_secs(60);
+const REPORT_PERIOD: Duration = Duration::from_secs(60);
 /// Largest batch of messages, bytes: an urgent message waits for one of them.
 const BATCH_BYTES: u32 = 8192;
 /// Bytes that wait in the operating system: 0.13 s at 1 Mbit/s. Urgent messages cannot overtake them.
@@ -101,13 +101,13 @@ impl SessionConfig {
             configs.push(by_tls.to_zenoh(PROTOCOLS_MS[1])?);
             how = "QUIC and TLS are tried in turns until there is one";
         }
-        let mut told: Option<Instant> = None;
+        let mut reported: Option<Instant> = None;
         loop {
             for config in &configs {
                 match zenoh::open(config.clone()).wait() {
                     Ok(session) => return Ok(session),
-                    Err(why) if told.is_none_or(|told| told.elapsed() >= TELL_PERIOD) => {
-                        told = Some(Instant::now());
+                    Err(why) if reported.is_none_or(|reported| reported.elapsed() >= REPORT_PERIOD) => {
+                        reported = Some(Instant::now());
                         tracing::warn!(
                             "{}: no connection ({why}); {how}. Look whether the base runs and is reached, and whether this machine's key \
                              is of its fleet",

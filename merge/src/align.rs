@@ -156,7 +156,7 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
     let (best, margins) = CandidateVerifier::new(fields).choose(&places, config)?;
     let a_from_b =
         field_a.points.frame_from_centred * best.fine.a_from_b * field_b.points.frame_from_centred.inverse();
-    Some(judge([a, b], a_from_b, &best, margins, config))
+    Some(decide([a, b], a_from_b, &best, margins, config))
 }
 
 /// A place that was refined by many points.
@@ -252,7 +252,7 @@ pub fn align_near(
     let matched = match_walls(fields, refined, strides);
     let config = without_margins(config);
     let candidate = CandidateVerifier::new(fields).compare_short_walls(matched);
-    Some(judge([a, b], from_a * refined * from_b.inverse(), &candidate, Margins::default(), &config))
+    Some(decide([a, b], from_a * refined * from_b.inverse(), &candidate, Margins::default(), &config))
 }
 
 /// Computes the evidence for a given transform. `accepted` leaves out the margin, which is 0: no other place is looked
@@ -271,7 +271,7 @@ pub(crate) fn evaluate(
     let matched = match_walls_at(fields, a_from_b);
     let candidate = CandidateVerifier::new(fields).compare_short_walls(matched);
     let config = without_margins(config);
-    Some(judge([a, b], a_from_b, &candidate, Margins::default(), &config))
+    Some(decide([a, b], a_from_b, &candidate, Margins::default(), &config))
 }
 
 /// Matches the walls of two maps under a transform between the maps' own frames.
@@ -359,7 +359,7 @@ fn is_same_place(x: Pose2, y: Pose2) -> bool {
 }
 
 /// Compares the evidence with the thresholds.
-fn judge(
+fn decide(
     [a, b]: [GridView<'_>; 2],
     a_from_b: Pose2,
     candidate: &RefinedCandidate,

@@ -190,7 +190,7 @@ fn receive(
 ) -> LinkStatistics {
     let mut outage = Outage::begin();
     while !done.load(Ordering::Relaxed) {
-        outage.tell(received);
+        outage.notify(received);
         client.poll(Instant::now() + RECEIVE_WAIT_MAX, &mut |event| match event {
             Event::Message { topic, payload, received: at } => {
                 // The statistics count what cannot be decoded.
@@ -220,26 +220,26 @@ const OUTAGE_TOLD: Duration = Duration::from_secs(3);
 /// The time since when there is no connection to the bridge.
 struct Outage {
     since: Option<Instant>,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl Outage {
     /// Begins before the first connection.
     fn begin() -> Self {
-        Self { since: Some(Instant::now()), is_told: false }
+        Self { since: Some(Instant::now()), is_reported: false }
     }
 
     /// Says once why there is no connection, when it lasts.
-    fn tell(&mut self, received: &SharedReceived) {
+    fn notify(&mut self, received: &SharedReceived) {
         let lasts = self.since.is_some_and(|since| since.elapsed() > OUTAGE_TOLD);
-        if lasts && !std::mem::replace(&mut self.is_told, lasts) {
+        if lasts && !std::mem::replace(&mut self.is_reported, lasts) {
             let why = lock(received).last_error.clone().unwrap_or_else(|| "no answer".into());
             tracing::warn!("no connection to the bridge: {why}; it is tried again, Ctrl-C ends");
         }
     }
 
     fn end(&mut self) {
-        if std::mem::take(&mut self.is_told) {
+        if std::mem::take(&mut self.is_reported) {
             tracing::warn!("connected to the bridge");
         }
         self.since = None;

@@ -113,8 +113,8 @@ fn a_scanner_upside_down_is_mirrored_and_a_tilted_one_refused() {
         assert_eq!(bag.scans[0].angle_min_rad, -upright.scans[0].angle_min_rad);
     }
     // What a person says counts.
-    let told = BagOptions { base_from_scan: Some(Pose2::IDENTITY), ..BagOptions::default() };
-    assert!(read_messages(&vertical, &told).is_ok());
+    let reported = BagOptions { base_from_scan: Some(Pose2::IDENTITY), ..BagOptions::default() };
+    assert!(read_messages(&vertical, &reported).is_ok());
 }
 
 /// Quaternion of a turn about the y axis.

@@ -21,9 +21,9 @@ pub struct RobotSeries {
     pub scan_hz: Vec<f64>,
     /// Pose in its map: x m, y m, yaw rad; `None` before the first scan.
     pub pose: Vec<Option<[f64; 3]>>,
-    /// Forward velocity that it was told, m/s; 0 if nobody drives.
+    /// Forward velocity commanded, m/s; 0 if nobody drives.
     pub linear_m_s: Vec<f64>,
-    /// Turning rate that it was told, rad/s.
+    /// Commanded turning rate, rad/s.
     pub angular_rad_s: Vec<f64>,
     /// Where its map lies in the merged map at the end: x m, y m, yaw rad; `None` if it is not merged.
     pub map_from_robot_map: Option<[f64; 3]>,
@@ -35,14 +35,14 @@ impl RobotSeries {
     }
 }
 
-/// How long a robot was driven, by the figures of each second, and what it was told.
+/// How long a robot was driven, by the figures of each second, and what it was commanded.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DrivenTime {
-    /// Time in which it was told to move, seconds.
+    /// Time in which it was commanded to move, seconds.
     pub driven_s: f64,
-    /// Distance that it was told to drive, metres.
+    /// Commanded distance, metres.
     pub distance_m: f64,
-    /// Angle that it was told to turn, radians.
+    /// Commanded angle of turning, radians.
     pub turned_rad: f64,
 }
 
@@ -78,7 +78,7 @@ pub fn add_teleoperation(page: &mut Page, series: &Series) {
     let heads = ["teleoperation", "driven, s", "share, %", "mean speed, m/s", "mean turning rate, rad/s"];
     page.table(&heads, &series.robots.iter().zip(&profile.robots).map(row).collect::<Vec<_>>());
     page.paragraph(&format!(
-        "{} switches between robots. From the velocities that the robots were told, read once a second over the whole run: \
+        "{} switches between robots. From the velocities that the robots were given, read once a second over the whole run: \
          shorter moves are missed.",
         profile.switches
     ));
@@ -122,12 +122,12 @@ fn known_m2(map: &MapView) -> Option<f64> {
 impl Series {
     /// Adds the figures of a second. `commands` are the robots' newest velocities, and `age_s` of each in seconds.
     pub fn add(&mut self, fleet: &FleetView, commands: impl Fn(usize) -> Option<(VelocityCommand, f64)>) {
-        let told = |index| {
+        let commanded = |index| {
             let command = commands(index).filter(|(_, age_s)| *age_s < COMMAND_AGE_MAX_S);
             command.map_or([0.0, 0.0], |(command, _)| [command.linear_m_s, command.angular_rad_s])
         };
-        let told: Vec<[f64; 2]> = (0..fleet.robots.len()).map(told).collect();
-        self.count_teleoperation(fleet.time_s, &told);
+        let commanded: Vec<[f64; 2]> = (0..fleet.robots.len()).map(commanded).collect();
+        self.count_teleoperation(fleet.time_s, &commanded);
         self.stride = self.stride.max(1);
         self.seen += 1;
         if !(self.seen - 1).is_multiple_of(self.stride) {
@@ -139,7 +139,7 @@ impl Series {
         self.merged_m2.push(known_m2(&fleet.merged_map));
         self.room_coverage.push(fleet.room_coverage);
         self.consistency.push(fleet.consistency);
-        for ((series, robot), [linear, angular]) in self.robots.iter_mut().zip(&fleet.robots).zip(told) {
+        for ((series, robot), [linear, angular]) in self.robots.iter_mut().zip(&fleet.robots).zip(commanded) {
             series.robot.clone_from(&robot.robot);
             series.known_m2.push(known_m2(&robot.map).unwrap_or(0.0));
             series.scan_hz.push(robot.scan_hz_last_second);
@@ -167,20 +167,22 @@ impl Series {
         &self.teleoperation
     }
 
-    /// Counts what the robots are `told`, in m/s and rad/s, for the time since the figures before.
-    fn count_teleoperation(&mut self, time_s: f64, told: &[[f64; 2]]) {
+    /// Counts what the robots were `commanded`, in m/s and rad/s, for the time since the figures before.
+    fn count_teleoperation(&mut self, time_s: f64, commanded: &[[f64; 2]]) {
         let profile = &mut self.teleoperation;
-        profile.robots.resize(told.len(), DrivenTime::default());
-        // What was told before the first figures is not known.
+        profile.robots.resize(commanded.len(), DrivenTime::default());
+        // What was commanded before the first figures is not known.
         let Some(before_s) = self.newest_s.replace(time_s) else { return };
         let lasted_s = (time_s - before_s).max(0.0);
         let is_driven = |[linear, angular]: &[f64; 2]| *linear != 0.0 || *angular != 0.0;
-        for (driven, told) in profile.robots.iter_mut().zip(told).filter(|(_, told)| is_driven(told)) {
+        for (driven, commanded) in
+            profile.robots.iter_mut().zip(commanded).filter(|(_, commanded)| is_driven(commanded))
+        {
             driven.driven_s += lasted_s;
-            driven.distance_m += told[0].abs() * lasted_s;
-            driven.turned_rad += told[1].abs() * lasted_s;
+            driven.distance_m += commanded[0].abs() * lasted_s;
+            driven.turned_rad += commanded[1].abs() * lasted_s;
         }
-        let mut now = (0..told.len()).filter(|robot| is_driven(&told[*robot]));
+        let mut now = (0..commanded.len()).filter(|robot| is_driven(&commanded[*robot]));
         // Several that are driven at once are no switch between them.
         if let (Some(robot), None) = (now.next(), now.next()) {
             profile.switches += u64::from(self.driven_last.is_some_and(|last| last != robot));

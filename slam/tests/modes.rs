@@ -107,14 +107,14 @@ fn a_map_begins_where_it_is_told_to() {
     let mut robot = Robot::new(Pose2::new(0.0, -0.75, 0.0));
     let log = log(&mut robot, 16, 4);
     let (mut front, mut back) = (FrontEnd::new(SlamConfig::default()), BackEnd::new(SlamConfig::default()));
-    let told = Pose2::new(5.0, -3.0, 2.0);
+    let reported = Pose2::new(5.0, -3.0, 2.0);
     back.start_relocalization(Some(LocalFrameEstimate {
-        map_from_local: told,
+        map_from_local: reported,
         sigma_m: 0.1,
         sigma_rad: 0.05,
     }));
-    front.set_map_from_local(Some(told));
-    let world_from_map = log[0].2 * told.inverse();
+    front.set_map_from_local(Some(reported));
+    let world_from_map = log[0].2 * reported.inverse();
     for (odometry, scan, truth) in &log {
         front.add_odometry(odometry);
         let result = front.process(scan);
@@ -123,7 +123,7 @@ fn a_map_begins_where_it_is_told_to() {
         result.node.into_iter().for_each(|node| front.add_frame_update(back.add_node(node)));
     }
     assert!(back.is_located() && back.nodes().len() > 10);
-    assert_eq!(back.graph().poses()[0], told);
+    assert_eq!(back.graph().poses()[0], reported);
 }
 
 #[test]

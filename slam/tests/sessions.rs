@@ -200,8 +200,8 @@ fn a_given_pose_has_the_uncertainty_it_was_given_with_until_scans_confirm_it() {
     // 2 m beside the true place, where the scans fit nothing, and longer than 10 nodes.
     let truth = world_from_map.between(log[0].2);
     let wrong = Pose2::new(truth.x_m + 2.0, truth.y_m, truth.yaw_rad + 1.0);
-    for (told, is_right) in [(truth, true), (wrong, false)] {
-        let hint = LocalFrameEstimate { map_from_local: told, sigma_m: 0.3, sigma_rad: 0.2 };
+    for (reported, is_right) in [(truth, true), (wrong, false)] {
+        let hint = LocalFrameEstimate { map_from_local: reported, sigma_m: 0.3, sigma_rad: 0.2 };
         let start = InitialPose::Near(hint);
         let mut slam = Slam::create_or_resume(
             SlamConfig::default(),

@@ -93,7 +93,7 @@ impl OperatorProcess {
     }
 
     /// Handles the end of the process, if it ended.
-    fn notice_end(&mut self, tell: &mut dyn FnMut(String)) {
+    fn notice_end(&mut self, notify: &mut dyn FnMut(String)) {
         let Some(Ok(Some(status))) = self.child.as_mut().map(Child::try_wait) else { return };
         self.child = None;
         let report = self.take_report();
@@ -101,8 +101,8 @@ impl OperatorProcess {
             (self.report, self.is_done) = (report, true);
             return;
         }
-        tell(format!("the operator ended ({status}); nobody drives until it is back"));
-        self.record_death(tell);
+        notify(format!("the operator ended ({status}); nobody drives until it is back"));
+        self.record_death(notify);
     }
 
     /// Waits until an operator that has ended is read to its end; returns its report.
@@ -110,20 +110,20 @@ impl OperatorProcess {
         self.printed.take()?.join().ok()?
     }
 
-    fn record_death(&mut self, tell: &mut dyn FnMut(String)) {
+    fn record_death(&mut self, notify: &mut dyn FnMut(String)) {
         self.deaths += 1;
         if self.policy.on_death(now()) {
-            tell(format!("the operator {}", failing_text()));
+            notify(format!("the operator {}", failing_text()));
         }
     }
 
     /// Kills the process if it hangs.
-    fn replace_if_hung(&mut self, tell: &mut dyn FnMut(String)) {
+    fn replace_if_hung(&mut self, notify: &mut dyn FnMut(String)) {
         let Some(child) = &mut self.child else { return };
         let pid = child.id();
         let finding = self.watchdog.poll(now(), progress::switches(pid), || progress::sample(pid, pid));
         if let Some(Finding::Hung { silence, .. }) = finding {
-            tell(format!("the operator has not answered for {:.1} s: replaced", silence.as_secs_f64()));
+            notify(format!("the operator has not answered for {:.1} s: replaced", silence.as_secs_f64()));
             let _ = child.kill();
         }
     }
@@ -146,15 +146,15 @@ impl FleetHooks for OperatorProcess {
         self.start()
     }
 
-    fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool {
-        self.notice_end(tell);
-        self.replace_if_hung(tell);
+    fn poll(&mut self, notify: &mut dyn FnMut(String)) -> bool {
+        self.notice_end(notify);
+        self.replace_if_hung(notify);
         if self.child.is_none() && !self.is_done && self.policy.is_due(now()) {
             match self.start() {
-                Ok(()) => tell("the operator was started again".into()),
+                Ok(()) => notify("the operator was started again".into()),
                 Err(why) => {
-                    tell(format!("cannot start the operator: {why}"));
-                    self.record_death(tell);
+                    notify(format!("cannot start the operator: {why}"));
+                    self.record_death(notify);
                 }
             }
         }

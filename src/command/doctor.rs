@@ -220,7 +220,7 @@ fn resources(config: &FleetConfig) -> [Check; 3] {
         megabytes(need.least),
         megabytes(need.most)
     );
-    let judge = |name, found, finding: Option<resources::Finding>| {
+    let check = |name, found, finding: Option<resources::Finding>| {
         let advice = finding.as_ref().map(|finding| finding.shortage.to_string()).unwrap_or_default();
         Check::new(name, finding.is_none(), found, &advice)
     };
@@ -232,9 +232,9 @@ fn resources(config: &FleetConfig) -> [Check; 3] {
         None => "it cannot be asked how much is free in this folder".into(),
     };
     [
-        judge("shared memory", found, resources::check_shared_memory(config)),
-        judge("open files", limit, files),
-        judge("disk", room, resources::check_disk(here, config)),
+        check("shared memory", found, resources::check_shared_memory(config)),
+        check("open files", limit, files),
+        check("disk", room, resources::check_disk(here, config)),
     ]
 }
 

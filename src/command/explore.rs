@@ -157,7 +157,7 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
         {
             return Ok(report);
         }
-        waiting.silence_to_tell(Instant::now()).iter().for_each(|text| output::note(text));
+        waiting.silence_to_report(Instant::now()).iter().for_each(|text| output::note(text));
         waiting.check(run, is_alive, Instant::now())?;
         if stop.requested() {
             return Err(match args.action {
@@ -261,18 +261,18 @@ impl FleetHooks for ExplorationWatch {
         Ok(())
     }
 
-    fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool {
+    fn poll(&mut self, notify: &mut dyn FnMut(String)) -> bool {
         let was_over = self.newest.is_some_and(|report| report.status().is_final());
         while let Some(report) = self.states.as_mut().and_then(|(_, states)| states.receive()) {
             self.newest = Some(*report);
         }
         let Some(report) = &self.newest else { return true };
         if let Some(line) = self.progress.line(report, self.robots) {
-            tell(format!("exploration: {line}"));
+            notify(format!("exploration: {line}"));
         }
         let is_over = report.status().is_final();
         if is_over && !was_over {
-            tell(format!("exploration: {} places left", report.leftovers_count));
+            notify(format!("exploration: {} places left", report.leftovers_count));
         }
         !(self.ends && is_over)
     }

@@ -231,7 +231,7 @@ fn exchange(
         {
             return Ok(report);
         }
-        waiting.silence_to_tell(Instant::now()).iter().for_each(|text| output::note(text));
+        waiting.silence_to_report(Instant::now()).iter().for_each(|text| output::note(text));
         waiting.check(run, is_alive, Instant::now())?;
         if stop.requested() {
             let goal = if args.cancel { 0 } else { number };

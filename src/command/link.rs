@@ -334,7 +334,7 @@ impl LinkProcess {
     }
 
     /// Kills the process if it hangs, so that it is started again.
-    fn end_if_hung(&mut self, tell: &mut dyn FnMut(String)) {
+    fn end_if_hung(&mut self, notify: &mut dyn FnMut(String)) {
         let (Some(run), Some(child), Some(board)) = (&self.run, &mut self.child, &mut self.progress) else {
             return;
         };
@@ -345,16 +345,16 @@ impl LinkProcess {
         let count = if entry.thread == id { entry.count } else { 0 };
         let finding = self.watchdog.poll(now(), count, || progress::sample(id, id));
         let Some(finding) = finding else { return };
-        tell(format!("the link {finding}"));
+        notify(format!("the link {finding}"));
         if matches!(finding, Finding::Hung { .. }) {
             // Its end is noticed as any other.
             let _ = child.kill();
         }
     }
 
-    fn record_death(&mut self, tell: &mut dyn FnMut(String)) {
+    fn record_death(&mut self, notify: &mut dyn FnMut(String)) {
         if self.policy.on_death(now()) {
-            tell(format!("the link {}", failing_text()));
+            notify(format!("the link {}", failing_text()));
         }
     }
 }
@@ -366,19 +366,19 @@ impl FleetHooks for LinkProcess {
         self.start()
     }
 
-    fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool {
+    fn poll(&mut self, notify: &mut dyn FnMut(String)) -> bool {
         if let Some(Ok(Some(status))) = self.child.as_mut().map(Child::try_wait) {
             self.child = None;
-            tell(format!("the link ended ({status})"));
-            self.record_death(tell);
+            notify(format!("the link ended ({status})"));
+            self.record_death(notify);
         }
-        self.end_if_hung(tell);
+        self.end_if_hung(notify);
         if self.child.is_none()
             && self.policy.is_due(now())
             && let Err(why) = self.start()
         {
-            tell(format!("cannot start the link: {why}"));
-            self.record_death(tell);
+            notify(format!("cannot start the link: {why}"));
+            self.record_death(notify);
         }
         true
     }

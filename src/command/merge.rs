@@ -236,11 +236,11 @@ fn as_text(name: &str, place: &Place) -> String {
         found.margin,
         place.ms
     );
-    let verdict = match found.refusal {
+    let outcome = match found.refusal {
         None => "lies at".into(),
         Some(refusal) => format!("refused, {}; the best place would be", refusal.text()),
     };
-    format!("{name}: {verdict} x {x_m:.3} m, y {y_m:.3} m, {:.2} degrees ({evidence})", yaw_rad.to_degrees())
+    format!("{name}: {outcome} x {x_m:.3} m, y {y_m:.3} m, {:.2} degrees ({evidence})", yaw_rad.to_degrees())
 }
 
 #[cfg(test)]

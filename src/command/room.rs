@@ -72,7 +72,7 @@ pub fn run(args: &RoomArgs) -> Result<(), RoomCommandError> {
         }
     };
     if args.answer.is_some() {
-        tell_bridge(&run);
+        notify_bridge(&run);
     }
     let text = || {
         let size = size_m.map_or(String::new(), |[x, y]| format!(" of {x:.1} m x {y:.1} m"));
@@ -84,7 +84,7 @@ pub fn run(args: &RoomArgs) -> Result<(), RoomCommandError> {
 }
 
 /// Tells the bridge that the offer is answered. If it does not hear, it shows the offer a little longer.
-fn tell_bridge(run: &Run) {
+fn notify_bridge(run: &Run) {
     if let Err(why) = control::ask_again(run, Request::AnswerRoom, PATIENCE) {
         tracing::warn!("{why}");
     }

@@ -201,8 +201,8 @@ pub(super) fn ros_variables() -> DiscoveryVariables {
 pub trait FleetHooks {
     /// Called once when all processes have been started.
     fn on_start(&mut self, run: &Run) -> std::io::Result<()>;
-    /// Called every 50 ms; must not block. `tell` is called with each event. Returning false ends the fleet.
-    fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool;
+    /// Called every 50 ms; must not block. `notify` is called with each event. Returning false ends the fleet.
+    fn poll(&mut self, notify: &mut dyn FnMut(String)) -> bool;
     /// Called when a file system that was full has room again: processes that died for it are started at once.
     fn retry_failing(&mut self) {}
     /// Called once before the fleet ends. The returned value becomes `operator` in the report.
@@ -329,20 +329,20 @@ fn watch(
     let begun = Instant::now();
     let over = || seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
     loop {
-        let mut tell = |event: String| {
+        let mut notify = |event: String| {
             screen.show_event(&event);
             events.push(begun.elapsed(), event);
         };
-        if stop.requested() || over() || !hooks.poll(&mut tell) || offered_room::accepted(run).is_some() {
+        if stop.requested() || over() || !hooks.poll(&mut notify) || offered_room::accepted(run).is_some() {
             break;
         }
-        supervisor.tend(&mut |role, robot| observer.last_seen(role, robot), &mut tell);
+        supervisor.tend(&mut |role, robot| observer.last_seen(role, robot), &mut notify);
         let has_new_stats = observer.poll();
-        if resources.poll(&mut tell) {
+        if resources.poll(&mut notify) {
             supervisor.retry_failing();
             hooks.retry_failing();
         }
-        observer.changed_edges().iter().for_each(|edge| tell(edge.to_string()));
+        observer.changed_edges().iter().for_each(|edge| notify(edge.to_string()));
         if has_new_stats && let Some(mut fleet) = fleet_view(run, &observer, console.refreshed()) {
             rates.add(&fleet);
             rates.fill(&mut fleet);

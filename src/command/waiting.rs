@@ -12,7 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const SILENCE_MAX: Duration = Duration::from_secs(30);
 
 /// Silence after an answer that is said: navigation reports once a second.
-const SILENCE_TOLD: Duration = Duration::from_secs(3);
+const REPORT_AFTER: Duration = Duration::from_secs(3);
 
 /// Reason why a tool waits no longer.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
@@ -46,28 +46,28 @@ pub(super) struct Waiting {
     heard: Instant,
     has_answer: bool,
     /// Whether the present silence was said.
-    is_told: bool,
+    is_reported: bool,
     unknown: String,
 }
 
 impl Waiting {
     /// Begins to wait. `unknown` says what is not known if no end comes: `whether robot1 has arrived is not known`.
     pub(super) fn new(now: Instant, unknown: String) -> Self {
-        Self { heard: now, has_answer: false, is_told: false, unknown }
+        Self { heard: now, has_answer: false, is_reported: false, unknown }
     }
 
     /// Notes that navigation has said something that belongs to the command.
     pub(super) fn hear(&mut self, now: Instant) {
-        (self.heard, self.has_answer, self.is_told) = (now, true, false);
+        (self.heard, self.has_answer, self.is_reported) = (now, true, false);
     }
 
     /// Returns what to say of a silence, once for each: what was said before may not hold any more.
-    pub(super) fn silence_to_tell(&mut self, now: Instant) -> Option<String> {
-        let is_silent = self.has_answer && now.saturating_duration_since(self.heard) > SILENCE_TOLD;
-        let is_new = is_silent && !std::mem::replace(&mut self.is_told, is_silent);
+    pub(super) fn silence_to_report(&mut self, now: Instant) -> Option<String> {
+        let is_silent = self.has_answer && now.saturating_duration_since(self.heard) > REPORT_AFTER;
+        let is_new = is_silent && !std::mem::replace(&mut self.is_reported, is_silent);
         is_new.then(|| {
             format!(
-                "navigation has said nothing for {SILENCE_TOLD:?}; it is waited for {SILENCE_MAX:?} at most"
+                "navigation has said nothing for {REPORT_AFTER:?}; it is waited for {SILENCE_MAX:?} at most"
             )
         })
     }
@@ -102,12 +102,12 @@ mod tests {
         assert_eq!(waiting.check(&run, true, begun + PATIENCE), Ok(()));
         let late = begun + PATIENCE + Duration::from_millis(1);
         assert!(matches!(waiting.check(&run, true, late), Err(WaitError::Silent { .. })));
-        assert_eq!(waiting.silence_to_tell(late), None, "it has not answered yet");
+        assert_eq!(waiting.silence_to_report(late), None, "it has not answered yet");
         waiting.hear(late);
-        assert_eq!(waiting.silence_to_tell(late + SILENCE_TOLD), None);
-        let told = waiting.silence_to_tell(late + SILENCE_TOLD + Duration::from_millis(1));
-        assert!(told.is_some_and(|told| told.contains("nothing for 3s")));
-        assert_eq!(waiting.silence_to_tell(late + SILENCE_MAX), None, "once");
+        assert_eq!(waiting.silence_to_report(late + REPORT_AFTER), None);
+        let reported = waiting.silence_to_report(late + REPORT_AFTER + Duration::from_millis(1));
+        assert!(reported.is_some_and(|reported| reported.contains("nothing for 3s")));
+        assert_eq!(waiting.silence_to_report(late + SILENCE_MAX), None, "once");
         assert_eq!(waiting.check(&run, true, late + SILENCE_MAX), Ok(()));
         let why = waiting.check(&run, false, late).unwrap_err().to_string();
         assert!(why.contains("ended") && why.contains("not known"), "{why}");

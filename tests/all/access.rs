@@ -37,20 +37,20 @@ impl Headset {
     /// Sends a velocity command and returns the notices received meanwhile. The connection may be closed.
     fn drive(&mut self) -> Vec<(String, String)> {
         let _ = self.stream.write_all(&self.frame);
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         if let Ok(count) = self.stream.read(self.parser.space()) {
             self.parser.filled(count);
         }
         while let Some(frame) = self.parser.next_frame().unwrap() {
             if let Ok(notice) = serde_json::from_slice::<Notice>(frame.payload) {
-                told.push((String::from_utf8_lossy(frame.name).into_owned(), notice.text));
+                reported.push((String::from_utf8_lossy(frame.name).into_owned(), notice.text));
             }
         }
-        told
+        reported
     }
 
     /// Drives until it receives a notice with `words`.
-    fn drive_until_told(&mut self, kind: &str, words: &str) {
+    fn drive_until_answered(&mut self, kind: &str, words: &str) {
         let begun = std::time::Instant::now();
         while !self.drive().iter().any(|(name, text)| name == kind && text.contains(words)) {
             assert!(begun.elapsed() < crate::harness::WATCHDOG, "no notice with {words}");
@@ -78,10 +78,10 @@ fn an_allowed_headset_and_an_emergency_stop_survive_the_bridge() {
     fleet.until("a robot that maps", |view| view.robots.iter().any(|robot| robot.scans >= 5));
 
     let mut headset = Headset::attach(fleet.run.port);
-    headset.drive_until_told("__error", "mr-slam allow 127.0.0.1");
+    headset.drive_until_answered("__error", "mr-slam allow 127.0.0.1");
     assert_eq!(say(&["allow"], &dir), "127.0.0.1 waits for an answer\n");
     assert_eq!(say(&["allow", "127.0.0.1"], &dir), format!("127.0.0.1 may drive (run {dir})\n"));
-    headset.drive_until_told("__log", "you may drive now");
+    headset.drive_until_answered("__log", "you may drive now");
     let moved = |fleet: &mut Fleet, headset: &mut Headset, by: f64| {
         let from = distance(&fleet.until("figures", |_| true));
         fleet.until("a robot that moves", |view| {
@@ -94,19 +94,19 @@ fn an_allowed_headset_and_an_emergency_stop_survive_the_bridge() {
 
     // The operator stops the fleet, and the bridge is killed. The stop and the allowed client remain.
     say(&["stop"], &dir);
-    headset.drive_until_told("__error", "emergency stop is set");
+    headset.drive_until_answered("__error", "emergency stop is set");
     send(bridge, Signal::KILL);
     fleet.until("another bridge", |view| {
         view.processes.iter().any(|p| p.process == "bridge" && p.pid != bridge && p.state == "up")
     });
     let mut headset = Headset::attach(fleet.run.port);
-    headset.drive_until_told("__error", "emergency stop is set");
+    headset.drive_until_answered("__error", "emergency stop is set");
     assert_eq!(say(&["allow"], &dir), "127.0.0.1 may drive\n");
     say(&["release"], &dir);
     moved(&mut fleet, &mut headset, 0.1);
 
     say(&["deny", "127.0.0.1"], &dir);
-    headset.drive_until_told("__error", "may not drive: it is denied");
+    headset.drive_until_answered("__error", "may not drive: it is denied");
     assert_eq!(say(&["allow"], &dir), "127.0.0.1 is denied\n", "a no is not asked for again");
     assert!(fleet.end(Signal::TERM).success);
 }

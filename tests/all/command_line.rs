@@ -190,8 +190,8 @@ fn results_that_cannot_be_printed_name_standard_output() {
         let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
         let output =
             mr_slam().args(words).stdout(full).stderr(std::process::Stdio::piped()).output().unwrap();
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success(), "{words:?}: {told}");
-        assert!(told.contains("cannot write to standard output: No space left"), "{words:?}: {told}");
+        let reported = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success(), "{words:?}: {reported}");
+        assert!(reported.contains("cannot write to standard output: No space left"), "{words:?}: {reported}");
     }
 }

@@ -27,11 +27,11 @@ fn said_after_the_end(words: &[&str]) -> String {
     let mut said = String::new();
     assert!(messages.read_line(&mut said).unwrap() > 0, "{words:?} tells no progress");
     let _ended = fleet.end(Signal::INT);
-    let (told, end) = std::sync::mpsc::channel();
+    let (reported, end) = std::sync::mpsc::channel();
     std::thread::spawn(move || {
         let mut rest = String::new();
         let _ = messages.read_to_string(&mut rest);
-        let _ = told.send(rest);
+        let _ = reported.send(rest);
     });
     said += &end.recv_timeout(crate::harness::WATCHDOG).expect("the tool waits on after the fleet's end");
     assert!(!tool.0.wait().unwrap().success(), "{said}");

@@ -231,11 +231,11 @@ fn the_state_of_a_navigation_process_that_dies_again_and_again_is_not_shown_for_
     let kills = (0..20).map(|k| Monotonic(8_000_000_000 + k * 250_000_000));
     let faults = kills.fold(FaultPlan::none(), |faults, at| faults.with(at, Fault::Kill(NAVIGATION)));
     let mut scene = driving(faults);
-    let is_told = |state: &serde_json::Value| {
+    let is_reported = |state: &serde_json::Value| {
         let reason = state["reason"].as_str().unwrap_or_default();
         state["state"] == "blocked" && state["remaining_m"].is_null() && reason.contains("has not answered")
     };
-    assert!(scene.run(20.0, is_told), "{}", scene.state);
+    assert!(scene.run(20.0, is_reported), "{}", scene.state);
     assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
 }
 

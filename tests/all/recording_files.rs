@@ -144,8 +144,8 @@ fn a_replay_reads_what_recording_json_names_and_says_what_it_leaves_out() {
     write_summary(&path("recording.json"), &named).unwrap();
     let replay = |files: &[&Path]| -> serde_json::Value {
         let output = output_of(mr_slam().arg("replay").args(files).arg("--json"));
-        let told = String::from_utf8_lossy(&output.stderr);
-        serde_json::from_slice(&output.stdout).unwrap_or_else(|why| panic!("{why}: {told}"))
+        let reported = String::from_utf8_lossy(&output.stderr);
+        serde_json::from_slice(&output.stdout).unwrap_or_else(|why| panic!("{why}: {reported}"))
     };
     let by_folder = replay(&[folder.path()]);
     assert_eq!(by_folder["not_read"], serde_json::json!([other.display().to_string()]), "{by_folder}");
@@ -172,7 +172,7 @@ fn lockstep_refuses_a_full_disk_at_the_start_and_keeps_its_figures_if_the_disk_i
     limited.args(["-c", r#"trap '' XFSZ; ulimit -f 8; exec "$@""#, "sh"]).arg(mr_slam().get_program());
     let output = output_of(limited.args(lockstep).arg(&path));
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    let told = String::from_utf8_lossy(&output.stderr);
+    let reported = String::from_utf8_lossy(&output.stderr);
     assert!(json["sha256"].is_string() && json["recording"]["ended"].is_string(), "{json}");
-    assert!(output.status.code() == Some(1) && told.contains("the recording is not whole"), "{told}");
+    assert!(output.status.code() == Some(1) && reported.contains("the recording is not whole"), "{reported}");
 }

@@ -87,7 +87,7 @@ impl Judged {
 
 /// Adds the figures of the pairs of these seeds; returns all pairs as JSON.
 pub fn rows(table: &mut Table, seeds: &Seeds, maps: Option<&Path>) -> Result<Vec<Value>, MapFileError> {
-    let mut judged = judge_all(seeds);
+    let mut judged = score_all(seeds);
     judged.sort_by_key(|pair| pair.seed);
     table.begin("generated pairs of one building", "right", "acceptable");
     let of_one = |of: &dyn Fn(&Judged) -> bool| -> Vec<&Judged> {
@@ -142,7 +142,7 @@ fn recall(name: String, pairs: &[&Judged]) -> Row {
 }
 
 /// Judges the pairs of all seeds on as many threads as there are cores.
-fn judge_all(seeds: &Seeds) -> Vec<Judged> {
+fn score_all(seeds: &Seeds) -> Vec<Judged> {
     let next = AtomicU64::new(seeds.range.start);
     let judged = Mutex::new(Vec::new());
     let cores = std::thread::available_parallelism().map_or(1, usize::from);

@@ -63,8 +63,11 @@ mod tests {
             bridge.take_events()
         };
         assert_eq!(graph(&[("/robot1/cmd_vel", false), ("/cmd_vel_2", true)]), [""; 0], "a robot listens");
-        let told = graph(&[("/robot1/cmd_vel", false), ("/robot2/cmd_vel", true)]);
-        assert!(told[0].contains("on /robot2/cmd_vel: robot2") && told[0].contains("/cmd_vel_2"), "{told:?}");
+        let reported = graph(&[("/robot1/cmd_vel", false), ("/robot2/cmd_vel", true)]);
+        assert!(
+            reported[0].contains("on /robot2/cmd_vel: robot2") && reported[0].contains("/cmd_vel_2"),
+            "{reported:?}"
+        );
         assert_eq!(graph(&[("/robot2/cmd_vel", true)]), [""; 0], "once");
         assert_eq!(graph(&[]), ["no other ROS node publishes velocities on /robot2/cmd_vel any more"]);
     }

@@ -164,7 +164,7 @@ impl Core {
             let result = self.services.register_provider(id, &name, &service_type, is_alive);
             self.update_services();
             result?;
-            self.tell_unoffered(id, &name);
+            self.report_unoffered(id, &name);
             return Ok(());
         }
         if let Some((_, NamedService { service_type: existing, .. })) = self.offered.slam.find(&name)

@@ -22,17 +22,17 @@ impl Core {
             RosEvent::OtherEncoding { topic } => {
                 self.router.counted.refused += 1;
                 if let Some(id) = self.find_relayed(&topic)
-                    && self.relay.should_tell_mismatch(id)
+                    && self.relay.should_report_mismatch(id)
                 {
                     let text = format!(
                         "'{topic}': messages of ROS are dropped: their encoding is not little-endian CDR"
                     );
-                    self.tell_users(id, name::ERROR, &text);
+                    self.notify_users(id, name::ERROR, &text);
                 }
             }
             RosEvent::Failure { topic, text } => {
                 if let Some(id) = self.find_relayed(&topic) {
-                    self.tell_users(id, name::ERROR, &text);
+                    self.notify_users(id, name::ERROR, &text);
                 }
             }
             RosEvent::Request { service, id, payload } => {
@@ -80,17 +80,17 @@ impl Core {
             let theirs = known.types().find(|theirs| theirs != ours).unwrap_or_default();
             let text =
                 format!("'{}' is {theirs} in ROS, not {ours}: it is not exchanged with ROS", topic.name);
-            let is_first = self.relay.should_tell_mismatch(id);
+            let is_first = self.relay.should_report_mismatch(id);
             match user {
                 Some(client) => self.router.send_notice(client, name::ERROR, text),
-                None if is_first => self.tell_users(id, name::ERROR, &text),
+                None if is_first => self.notify_users(id, name::ERROR, &text),
                 None => {}
             }
         }
     }
 
     /// Sends text to the clients that subscribed to a topic or publish it.
-    fn tell_users(&mut self, id: TopicId, kind: &str, text: &str) {
+    fn notify_users(&mut self, id: TopicId, kind: &str, text: &str) {
         let uses = |client: &&Client| {
             client.subscriptions.contains(&id) || client.publications.iter().any(|known| known.topic == id)
         };
@@ -158,7 +158,7 @@ impl Core {
                 }
             }
             Some(text) => {
-                if self.router.client_mut(client).is_some_and(|client| client.should_tell_unrelayed(id)) {
+                if self.router.client_mut(client).is_some_and(|client| client.should_report_unrelayed(id)) {
                     self.router.counted.refused += 1;
                     self.router.send_notice(client, name::WARN, text);
                 }
@@ -173,7 +173,7 @@ impl Core {
     }
 
     /// Tells clients once that nobody publishes the topics that they subscribed to.
-    pub(super) fn tell_unpublished(&mut self, now: Monotonic) {
+    pub(super) fn report_unpublished(&mut self, now: Monotonic) {
         while let Some(waiting) = self.relay.next_unpublished(now) {
             let (client, name) = (waiting.client, &waiting.topic);
             let Some(id) = self.router.topics.find(name) else { continue };

@@ -15,9 +15,9 @@ struct Refusal {
     kind: RefusalKind,
     topic: String,
     /// When it was told last.
-    told: Monotonic,
+    reported: Monotonic,
     /// Messages refused since then.
-    untold: u64,
+    unreported: u64,
 }
 
 /// What was refused, by kind and topic.
@@ -31,17 +31,17 @@ impl RosRefusals {
     pub(super) fn add(&mut self, kind: RefusalKind, topic: &str, now: Monotonic) -> Option<u64> {
         let is_same = |known: &&mut Refusal| known.kind == kind && known.topic == topic;
         if let Some(known) = self.refusals.iter_mut().find(is_same) {
-            known.untold += 1;
-            if now.since(known.told) < REPEAT_NS {
+            known.unreported += 1;
+            if now.since(known.reported) < REPEAT_NS {
                 return None;
             }
-            known.told = now;
-            return Some(std::mem::take(&mut known.untold));
+            known.reported = now;
+            return Some(std::mem::take(&mut known.unreported));
         }
         if self.refusals.len() == REFUSALS_MAX {
             self.refusals.remove(0);
         }
-        self.refusals.push(Refusal { kind, topic: topic.into(), told: now, untold: 0 });
+        self.refusals.push(Refusal { kind, topic: topic.into(), reported: now, unreported: 0 });
         Some(1)
     }
 }

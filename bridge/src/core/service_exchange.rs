@@ -80,7 +80,7 @@ impl Core {
     }
 
     /// Tells a client why the service that it offers is not offered to ROS.
-    pub(super) fn tell_unoffered(&mut self, client: ClientId, name: &str) {
+    pub(super) fn report_unoffered(&mut self, client: ClientId, name: &str) {
         if !self.relay.is_open() || self.relay.services().is_offered(name) {
             return;
         }

@@ -339,7 +339,7 @@ impl Core {
 fn failure(service: slam_services::Service, dialect: Dialect, reason: &str) -> Option<Vec<u8>> {
     let mut payload = Vec::new();
     service
-        .can_tell_failure()
+        .can_report_failure()
         .then(|| service.write(&mut Writer::with(dialect, &mut payload), false, reason))?;
     Some(payload)
 }

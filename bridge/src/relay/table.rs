@@ -45,7 +45,7 @@ struct RelayedTopic {
     /// Whether the topic is announced, and as latched.
     advertised: Option<bool>,
     /// Whether the clients were told that ROS has another type, or another encoding.
-    is_mismatch_told: bool,
+    is_mismatch_reported: bool,
 }
 
 /// The topics that are exchanged with ROS.
@@ -189,7 +189,7 @@ impl RelayTable {
             name: topic.name.as_str().into(),
             is_subscribed: false,
             advertised: None,
-            is_mismatch_told: false,
+            is_mismatch_reported: false,
         }))
     }
 
@@ -252,10 +252,10 @@ impl RelayTable {
     }
 
     /// Returns whether the clients of a topic must still be told of a mismatch, and records that they are.
-    pub fn should_tell_mismatch(&mut self, id: TopicId) -> bool {
+    pub fn should_report_mismatch(&mut self, id: TopicId) -> bool {
         self.topics
             .get_mut(&id)
-            .is_some_and(|relayed| !std::mem::replace(&mut relayed.is_mismatch_told, true))
+            .is_some_and(|relayed| !std::mem::replace(&mut relayed.is_mismatch_reported, true))
     }
 
     /// Begins to wait for a publisher of a client's subscription.

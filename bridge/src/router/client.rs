@@ -304,7 +304,7 @@ impl Client {
     }
 
     /// Returns whether the client has not been told yet that a topic is not published in ROS, and records it.
-    pub fn should_tell_unrelayed(&mut self, topic: TopicId) -> bool {
+    pub fn should_report_unrelayed(&mut self, topic: TopicId) -> bool {
         let is_new = !self.unrelayed.contains(&topic);
         if is_new {
             self.unrelayed.push(topic);

@@ -70,7 +70,7 @@ pub(super) struct RobotMount {
     /// When its first scan came, by the run's time.
     since: Option<Stamp>,
     /// What the operator was told last, and when by the run's time.
-    told: Option<(Placement, Stamp)>,
+    reported: Option<(Placement, Stamp)>,
     /// The LiDAR's upright frame on the base.
     base_from_scan: Option<SpatialPose>,
 }
@@ -81,7 +81,7 @@ pub(super) struct Mounts {
     pub(super) trees: FrameTrees,
     robots: Vec<RobotMount>,
     /// Whether the operator was told that a transform does not say whose it is.
-    is_unnamed_told: bool,
+    is_unnamed_reported: bool,
 }
 
 impl Mounts {
@@ -113,14 +113,14 @@ impl Mounts {
     }
 
     /// Tells the operator once that odometry on a topic of all robots does not say whose it is.
-    pub(super) fn tell_unnamed(
+    pub(super) fn report_unnamed(
         &mut self,
         parent: &str,
         child: &str,
         names: &RobotNames,
         notices: &mut Notices,
     ) {
-        if !std::mem::replace(&mut self.is_unnamed_told, true) {
+        if !std::mem::replace(&mut self.is_unnamed_reported, true) {
             // Of the first robot, as an example.
             let topic =
                 |name| names.robots().next().map_or_else(String::new, |robot| names.topic(robot, name));
@@ -152,8 +152,10 @@ impl ExternalWorld {
         let mount = &mut self.mounts.robots[robot.index()];
         set_name(&mut mount.scan_frame, frame);
         let is_waiting = origin.received - *mount.since.get_or_insert(origin.received) < MOUNT_WAIT_S;
-        let known_before =
-            mount.told.map(|(told, _)| told).filter(|told| matches!(told, Placement::Known(_)));
+        let known_before = mount
+            .reported
+            .map(|(reported, _)| reported)
+            .filter(|reported| matches!(reported, Placement::Known(_)));
         let found = self.find_mount(origin.source, robot);
         let mount = &mut self.mounts.robots[robot.index()];
         let placement = match found {
@@ -187,7 +189,7 @@ impl ExternalWorld {
             self.scan.mirror();
         }
         self.scan.set_mount(known.map(|mount| mount.base_from_scan));
-        self.tell_mount(robot, placement, origin.received);
+        self.report_mount(robot, placement, origin.received);
         Ok(true)
     }
 
@@ -238,13 +240,14 @@ impl ExternalWorld {
     }
 
     /// Writes a notice when a mount is known first, or has changed.
-    fn tell_mount(&mut self, robot: RobotId, placement: Placement, received: Stamp) {
+    fn report_mount(&mut self, robot: RobotId, placement: Placement, received: Stamp) {
         let mount = &mut self.mounts.robots[robot.index()];
-        let is_due =
-            mount.told.is_none_or(|(told, at)| !is_same(told, placement) && is_due(Some(at), received));
+        let is_due = mount
+            .reported
+            .is_none_or(|(reported, at)| !is_same(reported, placement) && is_due(Some(at), received));
         if is_due {
-            let before = mount.told.map(|(told, _)| told);
-            mount.told = Some((placement, received));
+            let before = mount.reported.map(|(reported, _)| reported);
+            mount.reported = Some((placement, received));
             self.notices.push(notice(robot, &mount.scan_frame, placement, before));
         }
     }

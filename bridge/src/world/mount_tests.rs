@@ -155,8 +155,8 @@ fn obstacles_are_where_they_are_however_a_level_lidar_is_mounted() {
                 send_tree(&mut world, topic, tree);
                 send_scan(&mut world, 1, "laser", SECOND).unwrap();
                 assert_near(&found(&received.borrow().scans[0]), &obstacles(place, rotation), &what);
-                let is_told_mirrored = world.take_notice().unwrap().contains("mirrored");
-                assert_eq!(is_told_mirrored, rotate(rotation, [0.0, 0.0, 1.0])[2] < 0.0, "{what}");
+                let is_mirrored_reported = world.take_notice().unwrap().contains("mirrored");
+                assert_eq!(is_mirrored_reported, rotate(rotation, [0.0, 0.0, 1.0])[2] < 0.0, "{what}");
                 send_scan(&mut world, 1, "laser", 2 * SECOND).unwrap();
                 assert_eq!(world.take_notice(), None, "once");
             }
@@ -229,8 +229,11 @@ fn a_lidar_without_transforms_is_waited_for_and_then_taken_as_configured() {
         send_scan(&mut world, 1, "laser", after_wait + n).unwrap();
     }
     assert!(received.borrow().scans.len() == 3 && received.borrow().scans[0].mount().is_none());
-    let told = world.take_notice().unwrap();
-    assert!(told.contains("robot1") && told.contains("`laser`") && told.contains("base_from_scan"), "{told}");
+    let reported = world.take_notice().unwrap();
+    assert!(
+        reported.contains("robot1") && reported.contains("`laser`") && reported.contains("base_from_scan"),
+        "{reported}"
+    );
     assert_eq!(world.take_notice(), None, "told once");
     // A chain that ends before the base says nothing.
     send_tree(&mut world, 0, vec![edge("tower", "laser", [1.0, 0.0, 0.0], rpy(PI, 0.0, 0.0))]);
@@ -249,16 +252,16 @@ fn robots_that_share_frames_on_one_topic_are_told_apart_or_the_operator_hears_of
     for _ in 0..3 {
         send_tree(&mut world, 1, odometry.clone());
     }
-    let told = world.take_notice().unwrap();
-    assert!(told.contains("odom -> base_footprint") && told.contains("frame_prefix"), "{told}");
+    let reported = world.take_notice().unwrap();
+    assert!(reported.contains("odom -> base_footprint") && reported.contains("frame_prefix"), "{reported}");
     assert_eq!(world.take_notice(), None);
     send_tree(&mut world, 0, vec![edge("base_link", "laser", [0.1, 0.0, 0.0], rpy(PI, 0.0, 0.0))]);
     for at in [SECOND, 9 * SECOND] {
         let _ = send_scan(&mut world, 1, "laser", at);
         let _ = send_scan(&mut world, 2, "laser", at);
     }
-    let told: Vec<String> = std::iter::from_fn(|| world.take_notice()).collect();
-    assert!(told.iter().any(|text| text.contains("robot2 and robot1 call")), "{told:?}");
+    let reported: Vec<String> = std::iter::from_fn(|| world.take_notice()).collect();
+    assert!(reported.iter().any(|text| text.contains("robot2 and robot1 call")), "{reported:?}");
     assert!(received.borrow().scans.last().unwrap().mount().is_none(), "nobody knows whose it is");
     // Robot 1 on topics of its own is known again.
     send_tree(&mut world, 2, vec![edge("base_link", "laser", [0.3, 0.0, 0.0], LEVEL)]);

@@ -9,8 +9,8 @@ const NOTICES_MAX: usize = 2 * ROBOTS_MAX;
 const NOTICE_PERIOD_S: f64 = 30.0;
 
 /// Whether the last notice is old enough, or there was none. A time that was set back does not silence the next one.
-pub(super) fn is_due(told: Option<Stamp>, now: Stamp) -> bool {
-    told.is_none_or(|told| !(0.0..NOTICE_PERIOD_S).contains(&(now - told)))
+pub(super) fn is_due(reported: Option<Stamp>, now: Stamp) -> bool {
+    reported.is_none_or(|reported| !(0.0..NOTICE_PERIOD_S).contains(&(now - reported)))
 }
 
 /// Notices that wait for the log, oldest first.

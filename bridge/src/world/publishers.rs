@@ -41,7 +41,7 @@ const ROBOT_TOPICS: usize = 4;
 
 /// What becomes of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
+enum MessageUse {
     Taken,
     /// Dropped until it is known whether the publisher before has ended.
     Waiting,
@@ -63,7 +63,7 @@ pub(super) struct RobotPublishers([TopicPublishers; ROBOT_TOPICS]);
 
 impl TopicPublishers {
     /// Takes a message. A publisher counts until it has been silent for [`SOURCE_TIMEOUT_S`].
-    fn receive(&mut self, publisher: PublisherId, received: Stamp) -> Verdict {
+    fn receive(&mut self, publisher: PublisherId, received: Stamp) -> MessageUse {
         for known in [&mut self.taken, &mut self.other] {
             known.take_if(|(_, last)| received - *last >= SOURCE_TIMEOUT_S);
         }
@@ -77,9 +77,9 @@ impl TopicPublishers {
             self.other = Some((publisher, received));
         }
         match (self.is_mixed, is_taken) {
-            (true, _) => Verdict::Mixed,
-            (false, true) => Verdict::Taken,
-            (false, false) => Verdict::Waiting,
+            (true, _) => MessageUse::Mixed,
+            (false, true) => MessageUse::Taken,
+            (false, false) => MessageUse::Waiting,
         }
     }
 }
@@ -95,9 +95,9 @@ impl ExternalWorld {
         let Some(publisher) = origin.publisher else { return Ok(true) };
         let publishers = &mut self.robots[robot.index()].publishers.0[topic as usize];
         match publishers.receive(publisher, origin.received) {
-            Verdict::Taken => Ok(true),
-            Verdict::Waiting => Ok(false),
-            Verdict::Mixed => {
+            MessageUse::Taken => Ok(true),
+            MessageUse::Waiting => Ok(false),
+            MessageUse::Mixed => {
                 if topic != RobotTopic::Battery {
                     self.robots[robot.index()].drivers.forget_waiting();
                 }
@@ -127,20 +127,20 @@ mod tests {
     const A: PublisherId = [1; 16];
     const B: PublisherId = [2; 16];
 
-    fn receive(publishers: &mut TopicPublishers, publisher: PublisherId, at_s: f64) -> Verdict {
+    fn receive(publishers: &mut TopicPublishers, publisher: PublisherId, at_s: f64) -> MessageUse {
         publishers.receive(publisher, Stamp::from_seconds(at_s))
     }
 
     #[test]
     fn a_driver_that_was_started_again_is_taken_when_the_former_one_is_silent() {
         let mut publishers = TopicPublishers::default();
-        let mut verdicts = |publisher, from: u32, to: u32| -> Vec<Verdict> {
+        let mut uses = |publisher, from: u32, to: u32| -> Vec<MessageUse> {
             (from..to).map(|tenth| receive(&mut publishers, publisher, f64::from(tenth) * 0.1)).collect()
         };
-        assert_eq!(verdicts(A, 0, 30), [Verdict::Taken; 30]);
-        let after = verdicts(B, 30, 60);
-        assert_eq!(after[..19], [Verdict::Waiting; 19]);
-        assert_eq!(after[19..], [Verdict::Taken; 11]);
+        assert_eq!(uses(A, 0, 30), [MessageUse::Taken; 30]);
+        let after = uses(B, 30, 60);
+        assert_eq!(after[..19], [MessageUse::Waiting; 19]);
+        assert_eq!(after[19..], [MessageUse::Taken; 11]);
     }
 
     #[test]
@@ -149,14 +149,14 @@ mod tests {
         for tenth in 0..20_u32 {
             let at_s = f64::from(tenth) * 0.1;
             let first = receive(&mut publishers, A, at_s);
-            assert_eq!(first, if tenth == 0 { Verdict::Taken } else { Verdict::Mixed });
+            assert_eq!(first, if tenth == 0 { MessageUse::Taken } else { MessageUse::Mixed });
             let second = receive(&mut publishers, B, at_s + 0.05);
-            assert_eq!(second, if tenth == 0 { Verdict::Waiting } else { Verdict::Mixed });
+            assert_eq!(second, if tenth == 0 { MessageUse::Waiting } else { MessageUse::Mixed });
         }
         for left in [A, B] {
             let mut publishers = publishers;
-            assert_eq!(receive(&mut publishers, left, 2.1), Verdict::Mixed);
-            assert_eq!(receive(&mut publishers, left, 4.0), Verdict::Taken);
+            assert_eq!(receive(&mut publishers, left, 2.1), MessageUse::Mixed);
+            assert_eq!(receive(&mut publishers, left, 4.0), MessageUse::Taken);
         }
     }
 
@@ -177,7 +177,7 @@ mod tests {
             let mut publishers = TopicPublishers::default();
             let mut taken = Vec::new();
             for (at_s, publisher) in messages {
-                if receive(&mut publishers, publisher, at_s) == Verdict::Taken { taken.push(publisher); }
+                if receive(&mut publishers, publisher, at_s) == MessageUse::Taken { taken.push(publisher); }
             }
             taken.dedup();
             prop_assert!(taken.len() == 1, "messages of {} publishers in turns", taken.len());

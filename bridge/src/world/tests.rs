@@ -218,15 +218,15 @@ fn odometry_that_loses_its_origin_below_one_publisher_is_another_writer() {
     };
     let driver = Some([1; 16]);
     (0..10).for_each(|tenth| assert_eq!(send(driver, tenth, 0.2 * tenth as f64), (0, String::new())));
-    let (restarts, told) = send(driver, 10, 0.0);
-    assert!(restarts == 1 && told.contains("robot1: odometry jumps 1.80 m"), "{told}");
+    let (restarts, reported) = send(driver, 10, 0.0);
+    assert!(restarts == 1 && reported.contains("robot1: odometry jumps 1.80 m"), "{reported}");
     assert_eq!(send(driver, 11, 0.02), (1, String::new()));
     assert_eq!(send(driver, 20, 0.4), (1, String::new()));
     // After a silence it begins at the origin; a client on TCP may be a simulation, in which the robot was put there.
     assert_eq!(send(driver, 100, 0.0).0, 2);
     send(None, 1000, 0.0);
-    let (restarts, told) = send(None, 1001, 3.0);
-    assert!(restarts == 2 && told.contains("the scans tell"), "{told}");
+    let (restarts, reported) = send(None, 1001, 3.0);
+    assert!(restarts == 2 && reported.contains("the scans tell"), "{reported}");
 }
 
 #[test]

@@ -85,7 +85,7 @@ impl ExternalWorld {
         let Some((robot, parent_frame, child_frame)) = self.fleet_frames(of, transform).map_err(wrong)?
         else {
             if of.is_none() && self.is_unnamed_odometry(transform) {
-                self.mounts.tell_unnamed(parent, child, &self.names, &mut self.notices);
+                self.mounts.report_unnamed(parent, child, &self.names, &mut self.notices);
             }
             return Ok(());
         };

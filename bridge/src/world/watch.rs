@@ -19,12 +19,12 @@ const JUMPS_OF_TWO: u32 = 3;
 
 /// Something that is told when it begins and when it ends, not more often than notices may come ([`is_due`]).
 #[derive(Clone, Copy, Debug, Default)]
-struct Told {
+struct Reported {
     is_wrong: bool,
     at: Option<Stamp>,
 }
 
-impl Told {
+impl Reported {
     /// Returns whether a change is to be told now.
     fn changes(&mut self, is_wrong: bool, now: Stamp) -> bool {
         let changes = self.is_wrong != is_wrong && is_due(self.at, now);
@@ -41,17 +41,17 @@ pub(super) struct SensorWatch {
     /// Beginning and newest of the present series of scans.
     scans: Option<(Stamp, Stamp)>,
     odometry: Option<Stamp>,
-    odometry_told: Told,
+    odometry_reported: Reported,
     /// By how much the newest scan's stamp was ahead of its arrival, seconds.
     ahead_s: Option<f64>,
     /// Scans in a row whose stamps are wrong.
     wrong_stamps: u32,
-    clock_told: Told,
+    clock_reported: Reported,
     /// Jumps of odometry since they were told last.
     jumps: u32,
-    jumps_told: Option<Stamp>,
+    jumps_reported: Option<Stamp>,
     /// Whether they were told as of two robots.
-    is_again_told: bool,
+    is_again_reported: bool,
 }
 
 impl SensorWatch {
@@ -74,7 +74,7 @@ impl SensorWatch {
         self.scans = Some((since, received));
         let silence_s = received - self.odometry.map_or(since, |odometry| odometry.max(since));
         let is_missing = silence_s > ODOMETRY_SILENCE_S;
-        if self.odometry_told.changes(is_missing, received) {
+        if self.odometry_reported.changes(is_missing, received) {
             notices.push(match (is_missing, self.odometry) {
                 (true, None) => format!(
                     "{robot}: scans come, but no odometry: SLAM goes by scans alone. Expected the transform odom -> base_footprint, or \
@@ -102,7 +102,7 @@ impl SensorWatch {
         self.wrong_stamps = if is_wrong { (self.wrong_stamps + 1).min(CLOCK_SCANS) } else { 0 };
         // A few late scans are no wrong clock, and a few right ones no right one.
         let is_known = !is_wrong || self.wrong_stamps == CLOCK_SCANS;
-        if !is_known || !self.clock_told.changes(is_wrong, received) {
+        if !is_known || !self.clock_reported.changes(is_wrong, received) {
             return;
         }
         notices.push(if !is_wrong {
@@ -137,10 +137,10 @@ impl SensorWatch {
     ) {
         self.jumps += 1;
         let is_again = self.jumps >= JUMPS_OF_TWO;
-        if !is_due(self.jumps_told, received) && (!is_again || self.is_again_told) {
+        if !is_due(self.jumps_reported, received) && (!is_again || self.is_again_reported) {
             return;
         }
-        (self.jumps, self.jumps_told, self.is_again_told) = (0, Some(received), is_again);
+        (self.jumps, self.jumps_reported, self.is_again_reported) = (0, Some(received), is_again);
         let again = if is_again {
             ", and that again and again: two robots, or two drivers, may send under one name"
         } else {
@@ -202,8 +202,8 @@ mod tests {
     #[test]
     fn odometry_that_comes_and_goes_is_not_told_each_time() {
         let mut robot = Robot::default();
-        let told: usize = (0..30).map(|turn| robot.run(4.0, turn % 2 == 0, 0.0, false).len()).sum();
-        assert!((1..=5).contains(&told), "{told} in 120 s");
+        let reported: usize = (0..30).map(|turn| robot.run(4.0, turn % 2 == 0, 0.0, false).len()).sum();
+        assert!((1..=5).contains(&reported), "{reported} in 120 s");
     }
 
     #[test]
@@ -218,9 +218,12 @@ mod tests {
     fn a_clock_that_differs_is_told_unless_the_world_has_its_own() {
         for ahead_s in [300.0, -300.0, 1.2] {
             let mut robot = Robot::default();
-            let told = robot.run(60.0, true, ahead_s, false).concat();
+            let reported = robot.run(60.0, true, ahead_s, false).concat();
             let part = if ahead_s > 0.0 { "ahead of this machine's clock" } else { "before they arrive" };
-            assert!(told.contains(part) && told.contains(&format!("{:.1} s", ahead_s.abs())), "{told}");
+            assert!(
+                reported.contains(part) && reported.contains(&format!("{:.1} s", ahead_s.abs())),
+                "{reported}"
+            );
             assert!(robot.run(60.0, true, 0.01, false).concat().contains("again"));
             assert_eq!(Robot::default().run(60.0, true, ahead_s, true), [""; 0]);
         }
@@ -238,12 +241,12 @@ mod tests {
         for tenth in 0..600 {
             watch.add_jump(ROBOT, &jump, true, at(f64::from(tenth) * 0.1), &mut notices);
         }
-        let told: Vec<String> = std::iter::from_fn(|| notices.take()).collect();
+        let reported: Vec<String> = std::iter::from_fn(|| notices.take()).collect();
         assert!(
-            told[0].contains("jumps 3.00 m and 6 degrees in 0.050 s: it is taken as a driver"),
-            "{told:?}"
+            reported[0].contains("jumps 3.00 m and 6 degrees in 0.050 s: it is taken as a driver"),
+            "{reported:?}"
         );
-        assert!(told[1..].iter().all(|told| told.contains("again and again")), "{told:?}");
-        assert!((2..=4).contains(&told.len()), "{told:?}");
+        assert!(reported[1..].iter().all(|reported| reported.contains("again and again")), "{reported:?}");
+        assert!((2..=4).contains(&reported.len()), "{reported:?}");
     }
 }

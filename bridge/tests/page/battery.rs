@@ -93,8 +93,8 @@ fn a_browser_is_told_of_the_battery_that_a_client_on_tcp_reports() {
     let battery = Battery { percentage: 42.0, voltage_v: 11.26, is_present: 1, ..Battery::default() };
     let now = process_clock();
     send(&served, &passed, battery, now);
-    let told = browser.data(subscription);
-    let read: BatteryState = bridge::ros::decode(&told.payload).unwrap();
+    let reported = browser.data(subscription);
+    let read: BatteryState = bridge::ros::decode(&reported.payload).unwrap();
     assert_eq!((read.battery.percentage, read.battery.voltage_v), (42.0, 11.26), "as it was sent");
     let mut known = wait_for_battery(&mut browser, 2, |battery| !battery.is_null());
     assert!(known["age_s"].take().as_f64().unwrap() >= 0.0);

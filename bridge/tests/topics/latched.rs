@@ -19,9 +19,9 @@ fn a_message_beyond_the_limit_leaves_the_latched_one_and_its_publisher_is_told_o
     assert!(warnings().is_empty());
     send("z".repeat(300), 3);
     send("z".repeat(300), 4);
-    let told = warnings();
-    assert_eq!(told.len(), 1);
-    let text = String::from_utf8_lossy(&told[0].1).into_owned();
+    let reported = warnings();
+    assert_eq!(reported.len(), 1);
+    let text = String::from_utf8_lossy(&reported[0].1).into_owned();
     assert!(text.contains("/note") && text.contains("200 bytes (latched_bytes_max"), "{text}");
     let two = LocalClient::connect(&bridge);
     two.subscribe::<Text>("/note");

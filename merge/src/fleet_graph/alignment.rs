@@ -1,7 +1,7 @@
 //! Alignment of the whole maps of two robots (first stage), and checks of accepted alignments.
 
 use super::draw_submaps::{PlacedSubmap, draw_submaps};
-use super::edge::{CheckVerdict, Evidence};
+use super::edge::{Evidence, RecheckResult};
 use super::pair::{RobotPair, robots_of_pair};
 use super::robot::Robot;
 use super::submaps::SubmapStore;
@@ -250,11 +250,11 @@ impl CheckResult {
             pair.compared_submaps = submaps;
             if pair.edge.is_active() {
                 match pair.edge.record_check(found, &self.config.check) {
-                    CheckVerdict::Confirmed => {}
+                    RecheckResult::Confirmed => {}
                     // The operator's word stands whatever the maps say: it is looked at again when they have grown, as any other.
-                    CheckVerdict::Contradicted if pair.edge.is_pinned() => {}
-                    CheckVerdict::Contradicted => pair.schedule.checked_at_nodes = 0,
-                    CheckVerdict::Refuted => {
+                    RecheckResult::Contradicted if pair.edge.is_pinned() => {}
+                    RecheckResult::Contradicted => pair.schedule.checked_at_nodes = 0,
+                    RecheckResult::Refuted => {
                         pair.schedule.checked_at_nodes = 0;
                         pair.drop_edge(self.nodes);
                         checked.edge_was_dropped = true;

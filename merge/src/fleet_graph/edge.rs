@@ -231,7 +231,7 @@ impl MapEdge {
     }
 
     /// Records a comparison of the two maps where the graph has them.
-    pub fn record_check(&mut self, found: Evidence, config: &CheckConfig) -> CheckVerdict {
+    pub fn record_check(&mut self, found: Evidence, config: &CheckConfig) -> RecheckResult {
         // This comparison is of one place, so the margins over other places stay as they were.
         let [margin, short_walls_margin] = self
             .evidence
@@ -242,11 +242,11 @@ impl MapEdge {
             alignment.overlap_m2 >= config.overlap_min_m2 && alignment.occupied_f1 < config.f1_min;
         self.contradictions = if contradicted { self.contradictions + 1 } else { 0 };
         match contradicted {
-            false => CheckVerdict::Confirmed,
+            false => RecheckResult::Confirmed,
             true if self.contradictions >= config.contradictions_max && self.state == EdgeState::Accepted => {
-                CheckVerdict::Refuted
+                RecheckResult::Refuted
             }
-            true => CheckVerdict::Contradicted,
+            true => RecheckResult::Contradicted,
         }
     }
 
@@ -274,7 +274,7 @@ impl MapEdge {
 
 /// Result of comparing two maps again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum CheckVerdict {
+pub(crate) enum RecheckResult {
     /// The maps agree, or their overlap is too small to judge.
     Confirmed,
     /// The maps contradict the edge: compare them again soon.

@@ -18,13 +18,13 @@ const CONTRADICTED_SCORE_M: f64 = -20.0;
 /// What the maps of two robots say of the relation of their given starts.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct StartsOfPair {
-    verdict: Verdict,
+    agreement: StartsAgreement,
     /// Contradictions in a row.
     contradictions: u32,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Verdict {
+enum StartsAgreement {
     /// The maps overlap too little.
     #[default]
     Unknown,
@@ -57,7 +57,7 @@ impl DriftAllowance {
 impl StartsOfPair {
     /// Returns whether the two maps agree where the starts put them.
     pub fn are_confirmed(self) -> bool {
-        self.verdict == Verdict::Confirmed
+        self.agreement == StartsAgreement::Confirmed
     }
 
     /// Returns whether the maps contradicted the starts once, and a second comparison is awaited.
@@ -81,7 +81,7 @@ impl StartsOfPair {
         }
         self.contradictions = 0;
         if alignment.occupied_f1 >= found.null_f1_max + config.align.f1_above_chance_min {
-            self.verdict = Verdict::Confirmed;
+            self.agreement = StartsAgreement::Confirmed;
         }
         false
     }
@@ -97,7 +97,7 @@ impl StartsOfPair {
     }
 
     fn contradict(&mut self) {
-        *self = Self { verdict: Verdict::Contradicted, contradictions: 0 };
+        *self = Self { agreement: StartsAgreement::Contradicted, contradictions: 0 };
     }
 }
 
@@ -163,10 +163,10 @@ pub(crate) fn worse_start(pair: usize, pairs: &[RobotPair]) -> usize {
     let [a, b] = robots_of_pair(pair);
     let contradictions = |robot: usize| -> i32 {
         let of_robot = pairs.iter().enumerate().filter(|(index, _)| robots_of_pair(*index).contains(&robot));
-        let each = of_robot.map(|(_, pair)| match pair.starts.verdict {
-            Verdict::Unknown => 0,
-            Verdict::Confirmed => -1,
-            Verdict::Contradicted => 1,
+        let each = of_robot.map(|(_, pair)| match pair.starts.agreement {
+            StartsAgreement::Unknown => 0,
+            StartsAgreement::Confirmed => -1,
+            StartsAgreement::Contradicted => 1,
         });
         each.sum()
     };

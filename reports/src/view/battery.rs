@@ -18,9 +18,9 @@ impl FleetView {
 
     /// Says how full the batteries are of the robots that tell it; `None`: none does.
     pub(super) fn battery_note(&self) -> Option<String> {
-        let told = |robot: &RobotView| Some(format!("{} {}", robot.robot, describe(&robot.battery?)));
-        let told: Vec<String> = self.robots.iter().filter_map(told).collect();
-        (!told.is_empty()).then(|| format!("battery  {}", told.join("   ")))
+        let reported = |robot: &RobotView| Some(format!("{} {}", robot.robot, describe(&robot.battery?)));
+        let reported: Vec<String> = self.robots.iter().filter_map(reported).collect();
+        (!reported.is_empty()).then(|| format!("battery  {}", reported.join("   ")))
     }
 }
 

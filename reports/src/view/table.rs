@@ -372,13 +372,13 @@ mod tests {
     fn a_robot_of_which_no_scan_has_come_is_named_when_the_fleet_has_started() {
         let mut stats: Box<FleetStats> = bytemuck::allocation::zeroed_box();
         stats.robot_count = 1;
-        let told = |stats: &FleetStats| FleetView::new(stats).alarms().len();
-        assert_eq!(told(&stats), 0, "it starts");
+        let reported = |stats: &FleetStats| FleetView::new(stats).alarms().len();
+        assert_eq!(reported(&stats), 0, "it starts");
         stats.header.stamp = msg::Stamp::from_seconds(super::super::alarms::FIRST_SCAN_S);
-        assert_eq!(told(&stats), 1);
+        assert_eq!(reported(&stats), 1);
         stats.robots[0].scans = 1;
         stats.robots[0].scan_hz = 10.0;
-        assert_eq!(told(&stats), 0);
+        assert_eq!(reported(&stats), 0);
     }
 
     #[test]

@@ -89,12 +89,12 @@ impl FleetHooks for OperatorAndHeadset {
         self.operator.on_start(run)
     }
 
-    fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool {
+    fn poll(&mut self, notify: &mut dyn FnMut(String)) -> bool {
         if self.headset.as_ref().is_some_and(|headset| !headset.is_running()) {
-            tell("the headset's application ended; the session ends".into());
+            notify("the headset's application ended; the session ends".into());
             return false;
         }
-        self.operator.poll(tell)
+        self.operator.poll(notify)
     }
 
     fn on_stop(&mut self) -> Option<serde_json::Value> {

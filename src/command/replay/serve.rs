@@ -148,7 +148,7 @@ async fn play(player: &mut Player, mut services: PlayerServices, bridge: &Bridge
     if keys.available() {
         note("keys: space pauses and goes on   + - speed   , . 10 s back and on   Ctrl-C ends");
     }
-    let (mut told, mut was_over) = (Instant::now(), false);
+    let (mut reported, mut was_over) = (Instant::now(), false);
     while !stop.requested() {
         let has_more = player.turn();
         services.answer(bridge, player, now()).iter().for_each(|done| note(done));
@@ -158,14 +158,14 @@ async fn play(player: &mut Player, mut services: PlayerServices, bridge: &Bridge
         let playback = player.playback();
         if playback.is_over() && !was_over {
             note(&format!("the recording is over at {:.2} s; seek, or end with Ctrl-C", playback.ends_s()));
-        } else if told.elapsed() > PLACE_PERIOD && !playback.is_over() && !playback.is_paused() {
+        } else if reported.elapsed() > PLACE_PERIOD && !playback.is_over() && !playback.is_paused() {
             note(&format!(
                 "{:.0} of {:.0} s, {}",
                 playback.position_s(),
                 playback.ends_s(),
                 playback.speed()
             ));
-            told = Instant::now();
+            reported = Instant::now();
         }
         was_over = playback.is_over();
         if has_more {

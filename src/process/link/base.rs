@@ -87,7 +87,7 @@ struct SubmapNumbers {
 }
 
 /// What log and channel say of a robot at present.
-struct Told {
+struct Reported {
     is_heard: bool,
     is_contested: bool,
     first_heard: FirstHeard,
@@ -104,7 +104,7 @@ struct RobotMirror<P: Ports> {
     clock: SourceClock,
     /// Poses that were published: fewer than the robot's scans.
     pose_estimates: u64,
-    told: Told,
+    reported: Reported,
     numbers: SubmapNumbers,
     /// Stamp of the newest pose, on the robot's clock.
     newest_pose: Stamp,
@@ -196,7 +196,7 @@ impl<P: Ports> RobotMirror<P> {
             end: BaseEnd::new(session, run_number(run)),
             clock: SourceClock::new(ClockOffset::Measured),
             pose_estimates: 0,
-            told: Told {
+            reported: Reported {
                 is_heard: false,
                 is_contested: false,
                 first_heard: FirstHeard::after(ports.clock().now()),
@@ -298,39 +298,39 @@ impl<P: Ports> RobotMirror<P> {
     }
 
     /// Says in the log what is new of the robot, and to navigation whether it follows.
-    fn tell(&mut self, now: Monotonic) {
+    fn notify(&mut self, now: Monotonic) {
         let (is_heard, is_contested) = (self.end.is_heard(now), self.end.is_contested(now));
-        if self.told.is_heard && !is_heard {
+        if self.reported.is_heard && !is_heard {
             tracing::warn!("{} is not heard any more; its map stays as it is", self.name);
         }
-        if self.told.first_heard.is_overdue(is_heard, now) {
+        if self.reported.first_heard.is_overdue(is_heard, now) {
             tracing::warn!("{} has not been heard yet", self.name);
         }
-        if !self.told.is_contested && is_contested {
+        if !self.reported.is_contested && is_contested {
             tracing::warn!(
                 "another machine bears the name {}, too: it is refused; give each robot a name of its own",
                 self.name
             );
         }
         let hold = self.end.hold();
-        if self.told.hold == Some(hold) || self.end.state_received() == Monotonic(0) {
+        if self.reported.hold == Some(hold) || self.end.state_received() == Monotonic(0) {
             self.channels.hold.refresh();
         } else {
-            let before = self.told.hold.and_then(|hold| hold.reason);
+            let before = self.reported.hold.and_then(|hold| hold.reason);
             if let Some(reason) = hold.reason.filter(|reason| before != Some(*reason)) {
                 tracing::warn!("{}: {}", self.name, reason.text());
             }
             let reason = hold.reason.map_or(0, |reason| reason as u32);
             let interruptions = hold.interruptions;
             self.channels.hold.send(&RobotHold { interruptions, reason, ..RobotHold::default() });
-            self.told.hold = Some(hold);
+            self.reported.hold = Some(hold);
         }
-        (self.told.is_heard, self.told.is_contested) = (is_heard, is_contested);
+        (self.reported.is_heard, self.reported.is_contested) = (is_heard, is_contested);
     }
 
     /// Sends what is due to the robot.
     fn send(&mut self, transport: &mut impl Transport, now: Monotonic) {
-        self.tell(now);
+        self.notify(now);
         let index = self.robot.index();
         let mut send = |kind, bytes: &[u8]| transport.send(index, kind, bytes);
         let is_timely =

@@ -44,13 +44,13 @@ pub struct RobotLink<P: Ports, T, S> {
     epoch: Epoch,
     listeners: Vec<P::Listener>,
     invalid: InvalidMessages,
-    told: Told,
+    reported: Reported,
     first_heard: FirstHeard,
 }
 
 /// What the log says of the base at present.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Told {
+struct Reported {
     is_heard: bool,
     is_refused: bool,
     is_late: bool,
@@ -86,7 +86,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             epoch: run.epoch,
             listeners: vec![ports.listener(&channel::pose_estimate(ROBOT))?],
             invalid: InvalidMessages::default(),
-            told: Told::default(),
+            reported: Reported::default(),
         })
     }
 
@@ -167,7 +167,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
     }
 }
 
-impl Told {
+impl Reported {
     /// Says what is new.
     fn update(&mut self, new: Self, name: &str) {
         if self.is_heard && !new.is_heard {
@@ -197,7 +197,7 @@ impl<P: Ports, T: Transport, S: StopControl> ProcessLoop for RobotLink<P, T, S> 
         self.read_channels(now);
         let (is_heard, is_late) = (self.end.is_heard(now), self.end.is_late(now));
         let is_refused = is_heard && self.end.is_refused();
-        self.told.update(Told { is_heard, is_refused, is_late }, &self.name);
+        self.reported.update(Reported { is_heard, is_refused, is_late }, &self.name);
         if self.first_heard.is_overdue(is_heard, now) {
             tracing::warn!(
                 "no base has been heard yet; the robot maps meanwhile. Look whether the base runs, and names {} in --names",

@@ -46,12 +46,12 @@ impl OperatorWatch {
 
 /// What the recorder was told last.
 #[derive(Default)]
-struct ToldState {
+struct ReportedState {
     /// Operators and batteries, and when; `None` before the first.
     newest: Option<(serde_json::Value, serde_json::Value, Instant)>,
 }
 
-impl ToldState {
+impl ReportedState {
     /// Returns whether a state is to be told, and records it if so.
     fn is_news(&mut self, state: &BridgeState, now: Instant) -> bool {
         let (operators, batteries) = (state.operators_json(), state.batteries_json());
@@ -67,7 +67,7 @@ impl ToldState {
 }
 
 fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<OperatorChange>) {
-    let (mut told, mut answers) = (ToldState::default(), 0);
+    let (mut reported, mut answers) = (ReportedState::default(), 0);
     while !stop.requested() {
         // Before the bridge, whose answer may take as long as a short recording. A file that cannot be read is looked at again.
         let entries = nasa_tlx::read(&run.dir, run.begun).unwrap_or_default();
@@ -78,7 +78,7 @@ fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<OperatorChange>) {
             }
         }
         if let Ok(state) = control::ask(run, Request::State, PATIENCE)
-            && told.is_news(&state, Instant::now())
+            && reported.is_news(&state, Instant::now())
             && to_recorder.send(OperatorChange::State(state)).is_err()
         {
             return;
@@ -106,8 +106,9 @@ mod tests {
             };
             BridgeState { stopped, batteries: vec![None, Some(battery)], ..BridgeState::default() }
         };
-        let mut told = ToldState::default();
-        let mut is_news = |state: &BridgeState, at_s| told.is_news(state, begun + Duration::from_secs(at_s));
+        let mut reported = ReportedState::default();
+        let mut is_news =
+            |state: &BridgeState, at_s| reported.is_news(state, begun + Duration::from_secs(at_s));
         assert!(is_news(&state(false, 0.5), 0));
         assert!(!is_news(&state(false, 0.4), 9));
         assert!(is_news(&state(false, 0.3), 10));

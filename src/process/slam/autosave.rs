@@ -30,7 +30,7 @@ pub(super) struct Autosave {
     /// When the save that goes on began.
     busy_since: Option<Monotonic>,
     /// Whether it was told that the save takes long.
-    is_slow_told: bool,
+    is_slow_reported: bool,
     /// Pause after the first save, different for each robot so that a fleet does not save all at once.
     turn: Duration,
     saved: bool,
@@ -54,7 +54,7 @@ impl Autosave {
             not_before: now,
             changed: false,
             busy_since: None,
-            is_slow_told: false,
+            is_slow_reported: false,
             turn,
             saved: false,
             reported: None,
@@ -111,7 +111,7 @@ impl Autosave {
     /// Tells once of a save that does not end. SLAM goes on meanwhile, and saves nothing else.
     pub fn watch(&mut self, now: Monotonic) {
         let is_slow = self.busy_since.is_some_and(|since| now >= since + SLOW_SAVE);
-        if is_slow && !std::mem::replace(&mut self.is_slow_told, true) {
+        if is_slow && !std::mem::replace(&mut self.is_slow_reported, true) {
             let path = self.path.display();
             tracing::warn!("slam: {path}: not saved for {} s: the disk does not answer", SLOW_SAVE.as_secs());
         }
@@ -127,7 +127,7 @@ impl Autosave {
     pub fn finish(&mut self, outcome: &FileJobOutcome, now: Monotonic) {
         self.busy_since = None;
         self.ended = self.begun;
-        if std::mem::take(&mut self.is_slow_told) {
+        if std::mem::take(&mut self.is_slow_reported) {
             tracing::warn!("slam: the disk answers again, after {:.0} s", outcome.took.as_secs_f64());
         }
         let first = !std::mem::replace(&mut self.saved, true);

@@ -53,7 +53,7 @@ pub struct BackEndWorker<P: Ports> {
     /// Number of the front end whose submaps are published.
     front_number: u32,
     /// Reasons why the map may be wrong that a person was told.
-    told_reasons: Vec<&'static str>,
+    reported_reasons: Vec<&'static str>,
     ended: bool,
 }
 
@@ -90,7 +90,7 @@ impl<P: Ports> BackEndWorker<P> {
             clock,
             robot,
             front_number: 0,
-            told_reasons: Vec::new(),
+            reported_reasons: Vec::new(),
             ended: false,
         })
     }
@@ -128,8 +128,8 @@ impl<P: Ports> BackEndWorker<P> {
             map.mark_changed();
             submaps.update(&state.back);
             for reason in state.back.reliability_evidence().reasons() {
-                if !self.told_reasons.contains(&reason) {
-                    self.told_reasons.push(reason);
+                if !self.reported_reasons.contains(&reason) {
+                    self.reported_reasons.push(reason);
                     tracing::warn!("slam of {}: the map may be wrong: {reason}", self.robot);
                 }
             }

@@ -190,7 +190,7 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
             return Err(FileJobError::EmptySession(path.to_owned()));
         }
         let [m, rad] = TOLD_SIGMA;
-        let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
+        let or = |reported: f64, otherwise: f64| if reported > 0.0 { reported } else { otherwise };
         let (sigma_m, sigma_rad) = (or(request.sigma_m, m), or(request.sigma_rad, rad));
         let at = |map_from_local: Pose2| {
             InitialPose::Near(LocalFrameEstimate { map_from_local, sigma_m, sigma_rad })

@@ -265,11 +265,11 @@ impl FrontEndRunner {
         }
         // In a pause the pose follows odometry from the one scan that is looked at.
         let has_odometry = result.pose_estimate.map_from_odom().is_some();
-        let tells_place = result.rejected.is_none()
+        let gives_place = result.rejected.is_none()
             && result.pose_estimate.state() != TrackingState::Lost
             && (has_odometry || self.waited >= SCANS_WITHOUT_ODOMETRY_MAX);
-        self.waited += u32::from(self.paused && !tells_place);
-        if !self.paused || tells_place {
+        self.waited += u32::from(self.paused && !gives_place);
+        if !self.paused || gives_place {
             self.last = Some(result.pose_estimate);
         }
         (Some(result.pose_estimate), result.rejected.is_none())

@@ -214,7 +214,7 @@ impl<P: Ports> Services<P> {
             }
             PendingRequest::SetPose(request) => {
                 let [m, rad] = TOLD_SIGMA;
-                let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
+                let or = |reported: f64, otherwise: f64| if reported > 0.0 { reported } else { otherwise };
                 let local_from_base = front.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
                 let map_from_local = request.pose * local_from_base.inverse();
                 let estimate = LocalFrameEstimate {

@@ -129,7 +129,7 @@ impl SessionLog {
         let bytes = match self.waiting.encode(identity, &mut self.to.newest, front) {
             Ok(bytes) => bytes,
             Err(why) => {
-                self.tell_failure(&why);
+                self.report_failure(&why);
                 return self.suspend();
             }
         };
@@ -176,13 +176,13 @@ impl SessionLog {
             if path == self.files[self.to.file] {
                 self.to.end = self.to.end.min(at);
             }
-            self.tell_failure(&why);
+            self.report_failure(&why);
             self.suspend();
         }
     }
 
     /// Says once that records are not written.
-    fn tell_failure(&mut self, why: &dyn std::fmt::Display) {
+    fn report_failure(&mut self, why: &dyn std::fmt::Display) {
         if !std::mem::replace(&mut self.failed, true) {
             tracing::warn!(
                 "slam: the session log is not written: {why}; mapping goes on, and the session is tried again"

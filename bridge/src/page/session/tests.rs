@@ -105,13 +105,13 @@ fn publishing() -> Session {
 #[test]
 fn late_commands_are_told_of_once_a_second() {
     let (mut session, late) = (publishing(), message(Some(Duration::from_secs(30))));
-    let mut is_told = |after_ms: u64| {
+    let mut is_reported = |after_ms: u64| {
         let mut encoder = Encoder::new(Vec::new());
         let now = NOW + Duration::from_millis(after_ms);
         assert_eq!(session.receive_binary(&late, now, &mut encoder).unwrap(), None);
         encoder.has_waiting()
     };
-    assert_eq!([0, 1, 999, 1000, 1500].map(&mut is_told), [true, false, false, true, false]);
+    assert_eq!([0, 1, 999, 1000, 1500].map(&mut is_reported), [true, false, false, true, false]);
 }
 
 proptest! {

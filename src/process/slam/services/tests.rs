@@ -176,9 +176,9 @@ fn merging_is_told_that_a_loaded_map_has_another_frame() {
         (asked.poses.newest().expect("poses of the loaded map").run, text.contains("merging finds anew"))
     };
     assert_eq!(load("own"), (0, false));
-    let (first, is_told) = load("other");
-    assert!(first != 0 && is_told);
+    let (first, is_reported) = load("other");
+    assert!(first != 0 && is_reported);
     // It may have been saved after the other one was loaded.
-    let (again, is_told) = load("own");
-    assert!(again != first && again != 0 && is_told);
+    let (again, is_reported) = load("own");
+    assert!(again != first && again != 0 && is_reported);
 }

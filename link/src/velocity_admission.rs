@@ -1,4 +1,4 @@
-//! Which velocities of the base a robot obeys: those to itself that are recent and know of its last interruption.
+//! Which velocities of the base a robot admits: those to itself that are recent and know of its last interruption.
 
 use crate::leadership::is_recent;
 use crate::series::Series;
@@ -14,15 +14,15 @@ const LATE_GAP_MAX: Duration = Duration::from_secs(1);
 /// accepted sooner.
 const REFUSED_AFTER: Duration = Duration::from_secs(5);
 
-/// Judges velocities of the base that leads.
+/// Admits velocities of the base that leads.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Obedience {
+pub struct VelocityAdmission {
     /// Number of stops and of drives by hand; `None` before it is known.
     interruptions: Option<u32>,
-    /// The base has not been told of the last interruption yet.
-    is_untold: bool,
-    /// When it was told: an older answer does not know of it.
-    told: Monotonic,
+    /// The base does not know of the last interruption yet.
+    is_unreported: bool,
+    /// When it was reported: an older answer does not know of it.
+    reported_at: Monotonic,
     late: Option<Series>,
     /// Messages to another machine that bears the robot's name.
     to_other: Option<Series>,
@@ -30,18 +30,18 @@ pub struct Obedience {
     pub late_count: u64,
 }
 
-impl Obedience {
-    /// Sets the number of stops and of drives by hand at this machine; returns whether the base is to be told.
+impl VelocityAdmission {
+    /// Sets the number of stops and of drives by hand at this machine; returns whether the base is to know.
     pub fn set_interruptions(&mut self, count: u32) -> bool {
         let is_new = self.interruptions.replace(count).is_some_and(|before| before != count);
-        self.is_untold |= is_new;
+        self.is_unreported |= is_new;
         is_new
     }
 
-    /// Returns the number of stops and of drives by hand, which a message of this time tells the base.
-    pub fn tell_interruptions(&mut self, now: Monotonic) -> u32 {
-        if std::mem::take(&mut self.is_untold) {
-            self.told = now;
+    /// Returns the number of stops and of drives by hand, which a message of this time reports to the base.
+    pub fn report_interruptions(&mut self, now: Monotonic) -> u32 {
+        if std::mem::take(&mut self.is_unreported) {
+            self.reported_at = now;
         }
         self.interruptions.unwrap_or(INTERRUPTIONS_UNKNOWN)
     }
@@ -61,11 +61,11 @@ impl Obedience {
         self.to_other.is_some_and(|series| series.lasts(REFUSED_AFTER))
     }
 
-    /// Judges a velocity to this session that answers our message of the time `answers`.
-    pub fn judge(&mut self, answers: Monotonic, now: Monotonic) -> bool {
+    /// Returns whether a velocity to this session is admitted, which answers our message of the time `answers`.
+    pub fn admit(&mut self, answers: Monotonic, now: Monotonic) -> bool {
         if is_recent(answers, now) {
             self.late = None;
-            return !self.is_untold && answers >= self.told;
+            return !self.is_unreported && answers >= self.reported_at;
         }
         self.late_count += 1;
         self.late = Some(Series::with(self.late_series(now), now));
@@ -92,33 +92,33 @@ mod tests {
     }
 
     #[test]
-    fn a_velocity_from_before_an_interruption_is_not_obeyed() {
-        let mut obedience = Obedience::default();
-        assert!(!obedience.set_interruptions(4), "what was before is no interruption");
-        assert!(obedience.judge(at(0), at(100)));
-        assert!(obedience.set_interruptions(5));
-        assert!(!obedience.judge(at(100), at(110)), "the base cannot know yet");
-        assert_eq!(obedience.tell_interruptions(at(120)), 5);
-        assert!(!obedience.judge(at(110), at(200)));
-        assert!(obedience.judge(at(120), at(220)));
+    fn a_velocity_from_before_an_interruption_is_not_admitted() {
+        let mut admission = VelocityAdmission::default();
+        assert!(!admission.set_interruptions(4), "what was before is no interruption");
+        assert!(admission.admit(at(0), at(100)));
+        assert!(admission.set_interruptions(5));
+        assert!(!admission.admit(at(100), at(110)), "the base cannot know yet");
+        assert_eq!(admission.report_interruptions(at(120)), 5);
+        assert!(!admission.admit(at(110), at(200)));
+        assert!(admission.admit(at(120), at(220)));
     }
 
     #[test]
     fn velocities_that_all_come_late_mean_a_slow_link() {
-        let mut obedience = Obedience::default();
-        (0..=20).for_each(|i| assert!(!obedience.judge(at(100 * i), at(700 + 100 * i))));
-        assert!(obedience.is_late(at(2_700)) && !obedience.is_late(at(4_000)));
-        assert!(obedience.judge(at(2_700), at(2_800)));
-        assert!(!obedience.is_late(at(2_800)));
+        let mut admission = VelocityAdmission::default();
+        (0..=20).for_each(|i| assert!(!admission.admit(at(100 * i), at(700 + 100 * i))));
+        assert!(admission.is_late(at(2_700)) && !admission.is_late(at(4_000)));
+        assert!(admission.admit(at(2_700), at(2_800)));
+        assert!(!admission.is_late(at(2_800)));
     }
 
     #[test]
     fn a_machine_is_refused_when_the_base_answers_another_for_long() {
-        let mut obedience = Obedience::default();
-        assert!(!obedience.is_addressed(8, 7, at(0)) && !obedience.is_addressed(8, 7, at(4_000)));
-        assert!(!obedience.is_refused(), "a former process of the link");
-        assert!(!obedience.is_addressed(8, 7, at(5_000)));
-        assert!(obedience.is_refused());
-        assert!(obedience.is_addressed(7, 7, at(6_000)) && !obedience.is_refused());
+        let mut admission = VelocityAdmission::default();
+        assert!(!admission.is_addressed(8, 7, at(0)) && !admission.is_addressed(8, 7, at(4_000)));
+        assert!(!admission.is_refused(), "a former process of the link");
+        assert!(!admission.is_addressed(8, 7, at(5_000)));
+        assert!(admission.is_refused());
+        assert!(admission.is_addressed(7, 7, at(6_000)) && !admission.is_refused());
     }
 }
