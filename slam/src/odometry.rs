@@ -45,6 +45,8 @@ pub struct OdometryBuffer {
     is_restored: bool,
     /// The motion since the restored poses is unknown: see [`OdometryBuffer::take_unknown_motion`].
     unknown_motion: bool,
+    /// A driver was started again: see [`OdometryBuffer::take_restart`].
+    has_restarted: bool,
 }
 
 impl OdometryBuffer {
@@ -60,6 +62,7 @@ impl OdometryBuffer {
             clock_reset,
             is_restored: false,
             unknown_motion: false,
+            has_restarted: false,
         }
     }
 
@@ -94,6 +97,7 @@ impl OdometryBuffer {
             self.poses.clear();
             self.unknown_motion = true;
         }
+        self.has_restarted |= restarted.is_some();
         self.continuous_from_odom = continuous_from_odom;
         self.is_restored = false;
         self.poses.push_back(BufferedOdometry::new(odometry, continuous_from_base));
@@ -110,6 +114,12 @@ impl OdometryBuffer {
     /// from a driver that was started again since.
     pub fn take_unknown_motion(&mut self) -> bool {
         core::mem::take(&mut self.unknown_motion)
+    }
+
+    /// Returns, once, whether a driver was started again. That the robot stood meanwhile is an assumption: whoever started it may have put
+    /// the robot elsewhere.
+    pub fn take_restart(&mut self) -> bool {
+        core::mem::take(&mut self.has_restarted)
     }
 
     /// Parts of the buffer for a session: messages whose `odom` is the continuous frame, [`OdometryBuffer::continuous_from_odom`], and the

@@ -262,3 +262,41 @@ fn a_robot_carried_back_is_found_in_an_unplaced_component() {
     let components = drive.slam.back().unplaced_component_count();
     assert_eq!(components, 1, "what it sees now is part of the first room: {:?}", drive.slam.back_counts());
 }
+
+/// A room of 5 by 3.5 m: from 0.8 m away along it, its long walls look the same.
+fn plain_room() -> Vec<Wall> {
+    rectangle(-2.0, -1.5, 3.0, 2.0)
+}
+
+#[test]
+fn a_robot_that_was_moved_while_its_driver_was_started_again_draws_no_wall_twice() {
+    for (k, distance_m) in [0.4, 0.6, 0.8, 1.0].into_iter().cycle().take(16).enumerate() {
+        let angle_rad = k as f64 * core::f64::consts::TAU / 16.0;
+        let mut drive = Drive::new(plain_room(), FULL, Pose2::new(0.0, 0.0, 0.2));
+        drive.drive(&[(0.1, 0.1, 10.0)]);
+        let stood = drive.robot.world_from_base;
+        let [x_m, y_m] = stood.apply([distance_m * angle_rad.cos(), distance_m * angle_rad.sin()]);
+        drive.restart_driver_at(Pose2::new(x_m, y_m, stood.yaw_rad));
+        drive.drive(&[(0.1, 0.2, 10.0)]);
+        let world_from_map = drive.said[0].2;
+        let wrong = drive.wrong(world_from_map, 0.2);
+        let (ghosts, occupied) = drive.ghosts(world_from_map);
+        assert!(
+            wrong == 0 && ghosts == 0,
+            "{distance_m} m, {angle_rad:.1}: wrong {wrong}, {ghosts} of {occupied}"
+        );
+    }
+}
+
+#[test]
+fn a_robot_that_stood_while_its_driver_was_started_again_goes_on() {
+    for (k, lidar) in [FULL, HALF, NARROW, SPARSE].into_iter().cycle().take(16).enumerate() {
+        for walls in [plain_room(), laboratory()] {
+            let mut drive = Drive::new(walls, lidar, START);
+            drive.drive(&[(0.1, 0.1, 2.0 + 0.5 * k as f64)]);
+            drive.restart_driver_at(drive.robot.world_from_base);
+            drive.drive(&[(0.0, 0.0, 0.5), (0.1, 0.3, 2.0)]);
+            assert_eq!(drive.slam.counts().odometry_breaks, 0, "{k}");
+        }
+    }
+}

@@ -82,18 +82,36 @@ fn is_at_origin(pose: &Pose2, within_m: f64, within_rad: f64) -> bool {
     pose.x_m.hypot(pose.y_m) < within_m && pose.yaw_rad.abs() < within_rad
 }
 
-/// The publishers on DDS of a robot's odometry: of the topic, and of the transform odom -> base.
+/// Who sends a robot's odometry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum DriverId {
+    /// A publisher on DDS.
+    Publisher(PublisherId),
+    /// A connection of a client on TCP.
+    Client(SourceId),
+}
+
+impl DriverId {
+    /// The sender of a message.
+    pub fn of(origin: &Origin<'_>) -> Self {
+        origin.publisher.map_or(Self::Client(origin.source), Self::Publisher)
+    }
+}
+
+/// Who sends a robot's odometry: the topic, and the transform odom -> base.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Drivers([Driver; 2]);
 
-/// The publisher whose poses are taken, and the first pose of one that waits until it is known whether that one has ended.
+/// The sender whose poses are taken, and the first pose of one that waits until it is known whether that one has ended.
 #[derive(Clone, Copy, Debug, Default)]
 struct Driver {
-    taken: Option<PublisherId>,
-    waiting: Option<(PublisherId, FirstPose)>,
+    taken: Option<DriverId>,
+    waiting: Option<(DriverId, FirstPose)>,
+    /// The clock was set back since its last pose: a simulation may have begun anew.
+    is_time_new: bool,
 }
 
-/// The first pose that was heard of a publisher.
+/// The first pose that was heard of a sender.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct FirstPose {
     /// Its stamp by the robot's clock.
@@ -103,28 +121,27 @@ pub(super) struct FirstPose {
 }
 
 impl Drivers {
-    /// Takes a pose of a publisher whose poses are not taken yet.
-    pub fn add_waiting(&mut self, publisher: Option<PublisherId>, is_of_transform: bool, pose: FirstPose) {
+    /// Takes a pose of a sender whose poses are not taken yet.
+    pub fn add_waiting(&mut self, id: DriverId, is_of_transform: bool, pose: FirstPose) {
         let waiting = &mut self.0[usize::from(is_of_transform)].waiting;
-        let Some(publisher) = publisher else { return };
-        if waiting.is_none_or(|(known, _)| known != publisher) {
-            *waiting = Some((publisher, pose));
+        if waiting.is_none_or(|(known, _)| known != id) {
+            *waiting = Some((id, pose));
         }
     }
 
-    /// Takes a pose; returns the first one that was heard of its publisher, if that is another one than before.
-    pub fn take(
-        &mut self,
-        publisher: Option<PublisherId>,
-        is_of_transform: bool,
-        pose: FirstPose,
-    ) -> Option<FirstPose> {
-        let publisher = publisher?;
+    /// Takes a pose; returns the first one that was heard of its sender, if that is another one than before, or since the clock was set back.
+    pub fn take(&mut self, id: DriverId, is_of_transform: bool, pose: FirstPose) -> Option<FirstPose> {
         let driver = &mut self.0[usize::from(is_of_transform)];
+        let is_time_new = std::mem::take(&mut driver.is_time_new);
         // One that waits while this one sends has begun long before it is taken.
-        let first = driver.waiting.take().filter(|(waiting, _)| *waiting == publisher);
-        let before = driver.taken.replace(publisher)?;
-        (before != publisher).then(|| first.map_or(pose, |(_, first)| first))
+        let first = driver.waiting.take().filter(|(waiting, _)| *waiting == id);
+        let before = driver.taken.replace(id)?;
+        (before != id || is_time_new).then(|| first.map_or(pose, |(_, first)| first))
+    }
+
+    /// Records that the clock was set back.
+    pub fn begin_time_anew(&mut self) {
+        self.0.iter_mut().for_each(|driver| driver.is_time_new = true);
     }
 
     /// Forgets who waits: two publishers send at once, and one that is left of them has begun long before.
@@ -133,7 +150,7 @@ impl Drivers {
     }
 }
 
-/// Returns whether the odometry of another publisher than before begins anew: at its origin, or where the robot cannot have got since its last
+/// Returns whether the odometry of another sender than before begins anew: at its origin, or where the robot cannot have got since its last
 /// pose. Odometry that goes on where it was, as of robot_localization before a driver that runs on, does not.
 fn is_restart(first: &Pose2, from_last: Option<Jump>) -> bool {
     is_at_origin(first, ORIGIN_M, ORIGIN_RAD)
@@ -143,7 +160,8 @@ fn is_restart(first: &Pose2, from_last: Option<Jump>) -> bool {
 impl ExternalWorld {
     /// Returns whether a pose is the first of odometry with a new origin, and tells the operator of a jump.
     ///
-    /// A client on TCP may be a simulation whose odometry is the truth: there a jump is a robot that was put elsewhere.
+    /// A client on TCP may be a simulation whose odometry is the truth: there a jump within one connection is a robot that was put elsewhere. A
+    /// connection that begins is a simulation that may have begun anew.
     pub(super) fn begins_anew(
         &mut self,
         origin: &Origin<'_>,
@@ -155,7 +173,7 @@ impl ExternalWorld {
         let state = &mut self.robots[robot.index()];
         let before = state.last_pose.filter(|last| last.is_of_transform == is_of_transform);
         let pose = FirstPose { sent, odom_from_base: *odom_from_base };
-        let first_of_next = state.drivers.take(origin.publisher, is_of_transform, pose);
+        let first_of_next = state.drivers.take(DriverId::of(origin), is_of_transform, pose);
         let way_to = |first: &FirstPose| Jump::between(&before?, first.sent, &first.odom_from_base);
         if first_of_next.is_some_and(|first| is_restart(&first.odom_from_base, way_to(&first))) {
             self.notices.push(format!("{robot}: its driver was started again: odometry has a new origin"));
@@ -182,7 +200,7 @@ impl ExternalWorld {
         is_of_transform: bool,
     ) -> Result<(), TransformError> {
         let pose = FirstPose { sent, odom_from_base: planar_pose(transform)? };
-        self.robots[robot.index()].drivers.add_waiting(origin.publisher, is_of_transform, pose);
+        self.robots[robot.index()].drivers.add_waiting(DriverId::of(origin), is_of_transform, pose);
         Ok(())
     }
 
@@ -202,6 +220,7 @@ impl ExternalWorld {
         let of_source = |robot: &&mut RobotState| robot.source.is_some_and(|(of, _)| of == source);
         for robot in self.robots.iter_mut().filter(of_source) {
             (robot.last_scan, robot.last_pose, robot.set_back) = (None, None, None);
+            robot.drivers.begin_time_anew();
         }
         if self.clock_source.is_some_and(|(of, _)| of == source) {
             self.clock = Stamp(i64::MIN);
@@ -220,8 +239,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const DRIVER: PublisherId = [1; 16];
-    const NEXT: PublisherId = [2; 16];
+    const DRIVER: DriverId = DriverId::Publisher([1; 16]);
+    const NEXT: DriverId = DriverId::Publisher([2; 16]);
 
     #[test]
     fn a_new_publisher_whose_odometry_begins_at_the_origin_is_a_restarted_driver() {
@@ -232,32 +251,33 @@ mod tests {
             let first = drivers.take(publisher, is_of_transform, pose);
             first.is_some_and(|first| super::is_restart(&first.odom_from_base, None))
         };
-        assert!(!is_restart(Some(DRIVER), true, 0.0), "the first one");
-        assert!(!is_restart(Some(DRIVER), true, 3.0));
-        assert!(!is_restart(Some(DRIVER), true, 0.0), "the same one is back at its origin");
-        assert!(!is_restart(Some(NEXT), false, 0.0), "the topic is another estimate than the transform");
-        assert!(is_restart(Some(NEXT), true, 0.1));
-        assert!(!is_restart(Some(NEXT), true, 0.1), "once");
-        assert!(!is_restart(Some(DRIVER), true, 2.0), "its odometry goes on");
-        assert!(!is_restart(None, true, 0.0), "a client on TCP has no publisher");
+        assert!(!is_restart(DRIVER, true, 0.0), "the first one");
+        assert!(!is_restart(DRIVER, true, 3.0));
+        assert!(!is_restart(DRIVER, true, 0.0), "the same one is back at its origin");
+        assert!(!is_restart(NEXT, false, 0.0), "the topic is another estimate than the transform");
+        assert!(is_restart(NEXT, true, 0.1));
+        assert!(!is_restart(NEXT, true, 0.1), "once");
+        assert!(!is_restart(DRIVER, true, 2.0), "its odometry goes on");
+        assert!(is_restart(DriverId::Client(3), true, 0.0), "a simulation that has connected");
+        assert!(!is_restart(DriverId::Client(3), true, 0.0) && !is_restart(DriverId::Client(4), true, 2.0));
     }
 
     #[test]
     fn a_robot_that_drives_on_while_its_next_driver_waits_is_told_by_the_first_pose_that_was_heard() {
         let at = |x_m| FirstPose { sent: Stamp(0), odom_from_base: Pose2::new(x_m, 0.0, 0.0) };
         let mut drivers = Drivers::default();
-        assert_eq!(drivers.take(Some(DRIVER), true, at(3.0)), None);
-        drivers.add_waiting(Some(NEXT), true, at(0.1));
-        drivers.add_waiting(Some(NEXT), true, at(0.5));
-        assert_eq!(drivers.take(Some(NEXT), true, at(0.9)), Some(at(0.1)));
-        assert_eq!(drivers.take(Some(NEXT), true, at(1.0)), None);
+        assert_eq!(drivers.take(DRIVER, true, at(3.0)), None);
+        drivers.add_waiting(NEXT, true, at(0.1));
+        drivers.add_waiting(NEXT, true, at(0.5));
+        assert_eq!(drivers.take(NEXT, true, at(0.9)), Some(at(0.1)));
+        assert_eq!(drivers.take(NEXT, true, at(1.0)), None);
         // One that began while the other went on sending is no driver that was started again.
-        drivers.add_waiting(Some(DRIVER), true, at(0.0));
-        assert_eq!(drivers.take(Some(NEXT), true, at(1.1)), None);
-        assert_eq!(drivers.take(Some(DRIVER), true, at(2.0)), Some(at(2.0)));
-        drivers.add_waiting(Some(NEXT), true, at(0.0));
+        drivers.add_waiting(DRIVER, true, at(0.0));
+        assert_eq!(drivers.take(NEXT, true, at(1.1)), None);
+        assert_eq!(drivers.take(DRIVER, true, at(2.0)), Some(at(2.0)));
+        drivers.add_waiting(NEXT, true, at(0.0));
         drivers.forget_waiting();
-        assert_eq!(drivers.take(Some(NEXT), true, at(2.0)), Some(at(2.0)));
+        assert_eq!(drivers.take(NEXT, true, at(2.0)), Some(at(2.0)));
     }
 
     #[test]

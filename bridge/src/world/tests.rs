@@ -205,6 +205,26 @@ fn a_driver_that_is_started_again_is_another_writer_of_odometry() {
 }
 
 #[test]
+fn a_client_that_comes_back_at_the_origin_is_another_writer_of_odometry() {
+    let (mut world, messages) = world();
+    let mut send = |world: &mut ExternalWorld, client: SourceId, tenths: i64, x: f64| {
+        let stamp = tenths * SECOND / 10;
+        let tree = vec![edge("odom_1", "base_footprint_1", stamp, x, LEVEL)];
+        receive_tree(world, client, stamp, tree).unwrap();
+        let restarts = messages.borrow().iter().filter(|message| message.contains("anew")).count();
+        (restarts, std::iter::from_fn(|| world.take_notice()).collect::<String>())
+    };
+    (0..5).for_each(|tenth| assert_eq!(send(&mut world, 7, tenth, 0.03 * tenth as f64).0, 0));
+    world.disconnect(7);
+    // Its odometry goes on: the network was away.
+    assert_eq!(send(&mut world, 8, 20, 0.4), (0, String::new()));
+    world.disconnect(8);
+    // A simulation was started again, and stands 0.4 m nearer to its origin.
+    let (restarts, reported) = send(&mut world, 9, 21, 0.0);
+    assert!(restarts == 1 && reported.contains("robot1: its driver was started again"), "{reported}");
+}
+
+#[test]
 fn odometry_that_loses_its_origin_below_one_publisher_is_another_writer() {
     let (mut world, messages) = world();
     let mut send = |publisher: Option<PublisherId>, tenths: i64, x: f64| {
@@ -224,9 +244,9 @@ fn odometry_that_loses_its_origin_below_one_publisher_is_another_writer() {
     assert_eq!(send(driver, 20, 0.4), (1, String::new()));
     // After a silence it begins at the origin; a client on TCP may be a simulation, in which the robot was put there.
     assert_eq!(send(driver, 100, 0.0).0, 2);
-    send(None, 1000, 0.0);
+    assert_eq!(send(None, 1000, 0.0).0, 3, "another sender");
     let (restarts, reported) = send(None, 1001, 3.0);
-    assert!(restarts == 2 && reported.contains("the scans tell"), "{reported}");
+    assert!(restarts == 3 && reported.contains("the scans tell"), "{reported}");
 }
 
 #[test]

@@ -3,6 +3,9 @@
 //! Two comparisons tell that. One asks what a scan saw through, which needs beams in each degree, and holds whatever way odometry measured since the last
 //! scan. The other asks what is nearer and what is farther than before; it needs fewer beams, and wheels that stood.
 //!
+//! Whoever starts a driver again may have put the robot elsewhere, as a simulation that begins anew does, without a pause that shows it. Then
+//! the scan is compared with another place near by, too.
+//!
 //! A robot that sees the same may have been carried, too, as along a corridor: then only the next scans tell where it is, and odometry does not.
 
 use super::FrontEnd;
@@ -45,9 +48,14 @@ impl FrontEnd {
         pose: TrackedPose,
         continuous_from_base: Option<Pose2>,
     ) -> (TrackedPose, bool) {
-        let Some(last) = self.motion.last.filter(|last| stamp - last.stamp > KIDNAP_MIN_S) else {
+        let restarted = self.motion.odometry.take_restart();
+        let Some(last) = self.motion.last else { return (pose, false) };
+        if restarted && pose.is_tracked && self.was_moved(cloud, &pose, continuous_from_base) {
+            return (self.mark_kidnapped(pose), true);
+        }
+        if stamp - last.stamp <= KIDNAP_MIN_S {
             return (pose, false);
-        };
+        }
         let moved_m = last.continuous_from_base.zip(continuous_from_base).map(|(a, b)| a.distance_m(b));
         // Without odometry it is not known whether the robot stood.
         let stood_for_s = |time_s: f64| moved_m.is_some_and(|m| m < STANDING_SPEED_MAX_M_S * time_s);
@@ -56,6 +64,14 @@ impl FrontEnd {
         let is_kidnapped = stood_for_s(stamp - last.stamp)
             && (self.sees_another_view(cloud, &pose) || self.sees_another_place(cloud, continuous_from_base));
         (if is_kidnapped { self.mark_kidnapped(pose) } else { pose }, is_kidnapped)
+    }
+
+    /// Whether the first scan after a driver was started again shows another view or place than before, or fits another place of the
+    /// local map clearly better.
+    fn was_moved(&mut self, cloud: &Cloud, pose: &TrackedPose, continuous_from_base: Option<Pose2>) -> bool {
+        self.sees_another_view(cloud, pose)
+            || self.sees_another_place(cloud, continuous_from_base)
+            || self.matcher.fits_elsewhere(cloud, pose.local_from_base, &self.config.tracking)
     }
 
     /// Whether a scan, placed at `pose`, and the newest reference contradict each other, which are near each other.

@@ -38,6 +38,14 @@ const BREAK_SHARE: f32 = 0.3;
 /// through.
 const BREAK_POINTS_MIN: usize = 40;
 
+/// A place farther than this from a pose is another one, metres and radians.
+const ELSEWHERE_M: f64 = 0.25;
+const ELSEWHERE_RAD: f64 = 0.15;
+/// A scan fits another place clearly better if its response there is this many times the response where it is, and so high at least. Of 36
+/// generated runs in which a robot stood, 35 have at most 1.06 times the response elsewhere.
+const CLEARLY_BETTER_FACTOR: f32 = 1.15;
+const CLEARLY_BETTER_MIN: f32 = 0.6;
+
 /// Largest contradicted share of a scan that fits, 0 to 1.
 const FITS_SHARE_MAX: f32 = 0.15;
 /// By how much more of a scan is contradicted where it clearly fits less, 0 to 1.
@@ -142,6 +150,36 @@ impl ScanMatcher {
         })
     }
 
+    /// Whether a scan fits another place of the older local map clearly better than this one: within the search window of tracking.
+    pub fn fits_elsewhere(&mut self, cloud: &Cloud, local_from_base: Pose2, config: &TrackingConfig) -> bool {
+        self.sample_points(cloud, config);
+        let here = SearchWindow {
+            centre: local_from_base,
+            half_m: SEARCH_MIN_M,
+            half_rad: SEARCH_MIN_RAD,
+            prediction_weight: 0.0,
+        };
+        let elsewhere = SearchWindow { half_m: config.window_max_m, half_rad: config.window_max_rad, ..here };
+        let limits = SearchLimits { score_min: 0.0, evaluations_max: EVALUATIONS_MAX, excluded: None };
+        let older = &self.local_maps[0].field;
+        let response = older.search(&self.points, &here, &limits, &mut self.buffers).peak;
+        let limits = SearchLimits {
+            score_min: response
+                .map_or(0.0, |peak| CLEARLY_BETTER_FACTOR * peak.score)
+                .max(CLEARLY_BETTER_MIN),
+            excluded: Some((local_from_base, ELSEWHERE_M, ELSEWHERE_RAD)),
+            ..limits
+        };
+        older.search(&self.points, &elsewhere, &limits, &mut self.buffers).peak.is_some()
+    }
+
+    /// Chooses the points of a scan that a search looks at.
+    fn sample_points(&mut self, cloud: &Cloud, config: &TrackingConfig) {
+        let stride = cloud.points().len().div_ceil(config.search_points_max).max(1);
+        self.points.clear();
+        self.points.extend(cloud.points().iter().step_by(stride).map(|p| p.at));
+    }
+
     /// The best pose of the window in the older local map.
     fn search(
         &mut self,
@@ -152,9 +190,7 @@ impl ScanMatcher {
         stages: &mut dyn StageObserver,
     ) -> Option<Pose2> {
         stages.stage_started(Stage::Search);
-        let stride = cloud.points().len().div_ceil(config.search_points_max).max(1);
-        self.points.clear();
-        self.points.extend(cloud.points().iter().step_by(stride).map(|p| p.at));
+        self.sample_points(cloud, config);
         let window = SearchWindow {
             centre,
             half_m: half_m.clamp(SEARCH_MIN_M, config.window_max_m),

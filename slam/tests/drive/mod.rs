@@ -25,6 +25,8 @@ pub struct Drive {
     pub robot: Robot,
     pub noise: Noise,
     pub slam: Slam,
+    /// Number of the driver's process, which each start raises.
+    pub incarnation: u64,
     /// State, `map_from_base` as said, and the truth.
     pub said: Vec<(TrackingState, Pose2, Pose2)>,
     /// Covariance that it gave with the newest pose: xx, xy, x yaw, yy, y yaw, yaw yaw; m and rad.
@@ -35,7 +37,7 @@ impl Drive {
     pub fn new(walls: Vec<Wall>, lidar: Lidar, start: Pose2) -> Self {
         let slam = Slam::new(SlamConfig::default());
         let (robot, noise) = (Robot::new(start), Noise::new(3));
-        Self { walls, lidar, robot, noise, slam, said: Vec::new(), covariance: [0.0; 6] }
+        Self { walls, lidar, robot, noise, slam, incarnation: 0, said: Vec::new(), covariance: [0.0; 6] }
     }
 
     /// Legs of (linear m/s, angular rad/s, seconds) at ten scans a second.
@@ -43,7 +45,9 @@ impl Drive {
         for &(linear, angular, seconds) in legs {
             for _ in 0..(seconds * 10.0).round() as usize {
                 self.robot.drive(linear, angular, 0.1, &mut self.noise);
-                self.slam.add_odometry(&self.robot.odometry());
+                let mut odometry = self.robot.odometry();
+                odometry.header.incarnation = self.incarnation;
+                self.slam.add_odometry(&odometry);
                 let (pose, stamp) = (self.robot.world_from_base, self.robot.stamp());
                 let scan = cast(&self.walls, &self.lidar, pose, stamp, &mut self.noise);
                 let pose_estimate = self.slam.process(&scan).pose_estimate;
@@ -71,6 +75,12 @@ impl Drive {
     pub fn carry_to(&mut self, pose: Pose2) {
         self.robot.world_from_base = pose;
         self.pause(5.0);
+    }
+
+    /// Its driver is started again, and somebody has put it elsewhere meanwhile.
+    pub fn restart_driver_at(&mut self, pose: Pose2) {
+        self.robot.world_from_base = pose;
+        self.incarnation += 1;
     }
 
     /// Scans that were said to be known, though they were off by more than this.
