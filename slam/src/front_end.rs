@@ -228,8 +228,8 @@ impl FrontEnd {
     }
 
     /// Takes over how good the map and the robot's place in it are, before the first node of a session that goes on.
-    pub(crate) fn apply_quality(&mut self, frame_update: MapFrameUpdate) {
-        self.frame.apply_quality(frame_update);
+    pub(crate) fn restore_quality(&mut self, frame_update: MapFrameUpdate) {
+        self.frame.restore_quality(frame_update);
     }
 
     /// Applies a frame update at once, as after a change of the graph that no node caused.

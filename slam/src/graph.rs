@@ -37,6 +37,8 @@ pub enum EdgeKind {
     InitialPose,
     /// Odometry that the scans contradict: it keeps the order of the nodes and measures nothing.
     OdometryBreak,
+    /// The same as [`EdgeKind::InitialPose`], where a person said it and no scan: what follows is no part of the map until a scan confirms it.
+    EstimatedPose,
 }
 
 /// Variances of a relative pose.
@@ -73,6 +75,11 @@ pub struct Edge {
 }
 
 impl Edge {
+    /// Whether it is active and scans measured it: a link or a closure.
+    pub fn is_active_scan(&self) -> bool {
+        self.is_active && matches!(self.kind, EdgeKind::ScanMatch | EdgeKind::Closure)
+    }
+
     /// An active edge whose variance is not known yet.
     fn scan_match(
         [a, b]: [u32; 2],

@@ -231,7 +231,7 @@ pub fn create_or_resume(
             let mut front = FrontEnd::resume(config.clone(), state, &session.back.nodes);
             let back = BackEnd::resume(config, session.back, session.samples, mode, initial_pose);
             // A session does not keep it; the pose of the front end's frame is the session's, to the last bit.
-            front.apply_quality(back.latest_frame_update());
+            front.restore_quality(back.latest_frame_update());
             (front, back)
         }
         (initial_pose, _) => {

@@ -4,7 +4,7 @@ mod common;
 
 use common::{FULL, Noise, Robot, cast, laboratory};
 use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
-use slam::{BackEnd, FrontEnd, LocalFrameEstimate, SessionIdentity, Slam, SlamConfig};
+use slam::{BackEnd, FrontEnd, InitialPose, LocalFrameEstimate, Session, SessionIdentity, Slam, SlamConfig};
 
 type Log = Vec<(Odometry, Box<Scan>, Pose2)>;
 
@@ -99,6 +99,29 @@ fn an_estimate_that_nothing_can_be_compared_with_stays_unconfirmed() {
             "{mode:?}: {:?}",
             slam.back_counts().relocalization
         );
+        // Nothing is drawn there.
+        let map = slam.map();
+        let reaches_m = map.header.origin.x_m + f64::from(map.header.width) * map.header.resolution_m;
+        assert!(reaches_m < 20.0, "{mode:?}: the map reaches to {reaches_m:.1} m");
+        if mode != SlamMode::Mapping {
+            continue;
+        }
+        // Nor after the session is loaded again.
+        let identity = || SessionIdentity::new(1, 7, &SlamConfig::default());
+        let bytes = slam.session(identity()).encode().unwrap();
+        let session = Session::decode(&bytes, &identity()).unwrap();
+        let mut slam =
+            Slam::create_or_resume(SlamConfig::default(), Some(session), mode, InitialPose::Continue);
+        let next = log(&mut robot, 4, 3);
+        let states = next.iter().map(|(odometry, scan, _)| {
+            slam.add_odometry(odometry);
+            let state = slam.process(scan).pose_estimate.state();
+            slam.work();
+            state
+        });
+        let states: Vec<TrackingState> = states.collect();
+        let is_unconfirmed = states.iter().all(|state| *state == TrackingState::Unconfirmed);
+        assert!(is_unconfirmed && slam.back_counts().unplaced > 10, "{states:?}, {:?}", slam.back_counts());
     }
 }
 

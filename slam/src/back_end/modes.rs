@@ -76,7 +76,7 @@ impl BackEnd {
         back.update_after_edge_change();
         back.set_mode(mode);
         match initial_pose {
-            InitialPose::Continue => {}
+            InitialPose::Continue => back.restore_unconfirmed(),
             InitialPose::Near(estimate) => back.start_relocalization(Some(estimate)),
             InitialPose::Unknown => back.start_relocalization(None),
         }
@@ -145,8 +145,8 @@ impl BackEnd {
 
     /// Whether it is known where the robot is.
     pub fn is_located(&self) -> bool {
-        let is_located =
-            self.location.localizer.as_ref().map_or(self.newest_is_placed(), Localizer::is_located);
+        let in_map = self.newest_is_placed() || self.location.unconfirmed.is_some();
+        let is_located = self.location.localizer.as_ref().map_or(in_map, Localizer::is_located);
         self.location
             .relocalizer
             .as_ref()
@@ -199,10 +199,8 @@ impl BackEnd {
         let Some(UnconfirmedEstimate { first_node, matched_before, .. }) = self.location.unconfirmed else {
             return;
         };
-        let connects = |e: &Edge| {
-            let is_scan = matches!(e.kind, EdgeKind::ScanMatch | EdgeKind::Closure);
-            e.is_active && is_scan && e.a.min(e.b) < first_node && e.a.max(e.b) >= first_node
-        };
+        let connects =
+            |e: &Edge| e.is_active_scan() && e.a.min(e.b) < first_node && e.a.max(e.b) >= first_node;
         let is_confirmed = match &self.location.localizer {
             Some(localizer) => localizer.counts().matched > matched_before,
             None => self.graph.edges().iter().any(connects),
@@ -210,6 +208,7 @@ impl BackEnd {
         if is_confirmed {
             self.location.unconfirmed = None;
             self.location.just_located = true;
+            self.update_covariances();
         }
     }
 
@@ -241,13 +240,15 @@ impl BackEnd {
         let id = node.id;
         self.graph.add_node(map_from_node);
         self.nodes.push(node);
+        let is_estimated = self.location.unconfirmed.is_some();
+        let kind = if is_estimated { EdgeKind::EstimatedPose } else { EdgeKind::InitialPose };
         if let Some(nearest) = nearest {
             let measured = self.graph.poses()[nearest as usize].between(map_from_node);
             let information = information_from_sigmas(
                 estimate.sigma_m.max(ESTIMATE_SIGMA_MIN),
                 estimate.sigma_rad.max(ESTIMATE_SIGMA_MIN),
             );
-            self.graph.add_edge([nearest, id], measured, information, EdgeKind::InitialPose, [0.0; 2]);
+            self.graph.add_edge([nearest, id], measured, information, kind, [0.0; 2]);
         }
     }
 

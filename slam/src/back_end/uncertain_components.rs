@@ -2,9 +2,16 @@
 //!
 //! A place that may be metres from where it is drawn is worse than none. The graph keeps such a component: closures are searched
 //! for as everywhere, and with the covariance the component joins the map.
+//!
+//! So is what was mapped from where a person said that the robot is, until a scan of it is aligned with one of the map.
 
 use super::BackEnd;
+use super::localization_state::UnconfirmedEstimate;
+
+use crate::graph::{Edge, EdgeKind};
 use crate::reliability::SuspectedBreak;
+use crate::relocalize::LocalFrameEstimate;
+use core::ops::Range;
 
 /// A node whose position has a larger standard deviation, relative to the map, is not part of it, metres. Public logs of large
 /// buildings, whose maps are right, have up to 1.48.
@@ -12,12 +19,17 @@ const POSITION_SIGMA_MAX_M: f64 = 1.5;
 /// Components that are tried as the map, a bound: the largest wins.
 const COMPONENTS_MAX: usize = 16;
 
+/// Least information of a person's estimate in a session, 1/m² and 1/rad²: a standard deviation of 100.
+const ESTIMATE_INFORMATION_MIN: f64 = 1e-4;
+
 impl BackEnd {
     /// Finds the covariances of all nodes anew, and which nodes are known well enough as seen from one of them. Where these
     /// are not all, the map is the largest such set, and the covariances are as seen from its first node.
     pub(super) fn update_covariances(&mut self) {
+        let unconfirmed = self.unconfirmed_components();
+        let separate = |back: &Self, id| back.component_beyond_break(id).or(first_of(&unconfirmed, id));
         for id in 0..self.nodes.len() as u32 {
-            self.nodes[id as usize].uncertain_component = self.component_beyond_break(id);
+            self.nodes[id as usize].uncertain_component = separate(self, id);
         }
         let systematic = self.systematic_odometry_errors();
         // First node and size of the largest component.
@@ -37,9 +49,9 @@ impl BackEnd {
             self.graph.update_covariances(first, systematic);
         }
         for id in 0..self.nodes.len() as u32 {
-            let (is_known, beyond_break) = (self.is_position_known(id), self.component_beyond_break(id));
+            let (is_known, is_separate) = (self.is_position_known(id), separate(self, id).is_some());
             let node = &mut self.nodes[id as usize];
-            let is_uncertain = (!is_known || beyond_break.is_some()) && node.disconnected_component.is_none();
+            let is_uncertain = (!is_known || is_separate) && node.disconnected_component.is_none();
             node.uncertain_component = is_uncertain.then(|| node.uncertain_component.unwrap_or(id));
         }
     }
@@ -52,6 +64,58 @@ impl BackEnd {
             true => (id > before).then_some(before + 1),
             false => (id < after).then_some(0),
         }
+    }
+
+    /// The nodes that nothing but a person's estimate places: those from such an estimate to where the path begins anew, if no active link or
+    /// closure leads from them to the map.
+    fn unconfirmed_components(&self) -> Vec<Range<u32>> {
+        let edges = self.graph.edges();
+        let begins_anew = |edge: &&Edge| {
+            use EdgeKind::{EstimatedPose, InitialPose, OdometryBreak};
+            matches!(edge.kind, EstimatedPose | InitialPose | OdometryBreak)
+        };
+        let nodes_from = |first: u32| {
+            let anew = edges.iter().filter(begins_anew).map(|edge| edge.b).filter(|id| *id > first);
+            first..anew.min().unwrap_or(self.nodes.len() as u32)
+        };
+        let estimated = edges.iter().filter(|edge| edge.kind == EdgeKind::EstimatedPose);
+        let mut unconfirmed: Vec<Range<u32>> = estimated.map(|edge| nodes_from(edge.b)).collect();
+        // One that is confirmed confirms others.
+        loop {
+            let before = unconfirmed.clone();
+            unconfirmed.retain(|nodes| {
+                !edges.iter().filter(|edge| edge.is_active_scan()).any(|edge| {
+                    let outside = match (nodes.contains(&edge.a), nodes.contains(&edge.b)) {
+                        (true, false) => edge.b,
+                        (false, true) => edge.a,
+                        _ => return false,
+                    };
+                    first_of(&before, outside).is_none()
+                })
+            });
+            if unconfirmed.len() == before.len() {
+                return unconfirmed;
+            }
+        }
+    }
+
+    /// First node of the newest node's component, if nothing but a person's estimate places that.
+    pub(super) fn newest_unconfirmed_component(&self) -> Option<u32> {
+        first_of(&self.unconfirmed_components(), self.nodes.last()?.id)
+    }
+
+    /// Takes what a person said before the session was saved as said, if nothing had confirmed it.
+    pub(super) fn restore_unconfirmed(&mut self) {
+        let Some((first, newest)) = self.newest_unconfirmed_component().zip(self.nodes.last()) else {
+            return;
+        };
+        let estimated = |edge: &&Edge| edge.kind == EdgeKind::EstimatedPose && edge.b == first;
+        let Some(edge) = self.graph.edges().iter().find(estimated) else { return };
+        let sigma = |axis: usize| edge.information[(axis, axis)].max(ESTIMATE_INFORMATION_MIN).sqrt().recip();
+        let map_from_local = self.graph.poses()[newest.id as usize] * newest.local_from_base.inverse();
+        let estimate = LocalFrameEstimate { map_from_local, sigma_m: sigma(0), sigma_rad: sigma(2) };
+        self.location.unconfirmed =
+            Some(UnconfirmedEstimate { estimate, first_node: first, matched_before: 0 });
     }
 
     /// Marks the nodes of no component yet that are known well enough as seen from `first`; returns their number.
@@ -75,16 +139,23 @@ impl BackEnd {
     pub(super) fn check_newest_position_uncertainty(&mut self) {
         let Some(newest) = self.nodes.len().checked_sub(1) else { return };
         let before = newest.checked_sub(1).and_then(|before| self.nodes[before].uncertain_component);
-        let is_known =
-            self.is_position_known(newest as u32) && self.component_beyond_break(newest as u32).is_none();
+        let unconfirmed = self.newest_unconfirmed_component();
+        let is_known = self.is_position_known(newest as u32)
+            && self.component_beyond_break(newest as u32).is_none()
+            && unconfirmed.is_none();
         let node = &mut self.nodes[newest];
         let is_uncertain = !is_known && node.disconnected_component.is_none();
-        node.uncertain_component = is_uncertain.then(|| before.unwrap_or(node.id));
+        node.uncertain_component = is_uncertain.then(|| unconfirmed.or(before).unwrap_or(node.id));
     }
 
     fn is_position_known(&self, id: u32) -> bool {
         self.graph.position_variance_trace_m2(id) <= POSITION_SIGMA_MAX_M.powi(2)
     }
+}
+
+/// First node of that of these ranges which has node `id`.
+fn first_of(components: &[Range<u32>], id: u32) -> Option<u32> {
+    components.iter().find(|nodes| nodes.contains(&id)).map(|nodes| nodes.start)
 }
 
 #[cfg(test)]
@@ -139,5 +210,34 @@ mod tests {
         // The next node goes on beyond it.
         back.check_newest_position_uncertainty();
         assert_eq!(back.nodes[59].unplaced_component(), Some(50));
+    }
+
+    #[test]
+    fn what_a_person_alone_places_is_no_part_of_the_map_until_a_scan_confirms_it() {
+        let mut back = straight_path(30, 1.0);
+        let information = information_from_sigmas(0.01, 0.001);
+        let mut add = |a: u32, b: u32, kind| {
+            back.graph.add_edge(
+                [a, b],
+                Pose2::new(f64::from(b) - f64::from(a), 0.0, 0.0),
+                information,
+                kind,
+                [0.0; 2],
+            );
+            back.update_covariances();
+            back.nodes.iter().map(Node::unplaced_component).collect::<Vec<_>>()
+        };
+        for id in (1..30).filter(|id| ![10, 20].contains(id)) {
+            add(id - 1, id, EdgeKind::ScanMatch);
+        }
+        add(9, 10, EdgeKind::EstimatedPose);
+        let unplaced = add(9, 20, EdgeKind::EstimatedPose);
+        let expected = |id: usize| [None, Some(10), Some(20)][id / 10];
+        assert!((0..30).all(|id| unplaced[id] == expected(id)), "{unplaced:?}");
+        // Two that agree are not confirmed by that.
+        let unplaced = add(12, 22, EdgeKind::Closure);
+        assert!((0..30).all(|id| unplaced[id] == expected(id)), "{unplaced:?}");
+        let unplaced = add(5, 25, EdgeKind::Closure);
+        assert!(unplaced.iter().all(Option::is_none), "{unplaced:?}");
     }
 }

@@ -98,13 +98,22 @@ impl LocalFrameInMap {
         self.map_from_local = frame_update.map_from_local;
         self.is_located =
             frame_update.located && self.last_odometry_break.is_none_or(|at| frame_update.cause_node >= at);
-        self.is_unconfirmed = frame_update.unconfirmed;
         self.apply_quality(frame_update);
     }
 
-    /// Takes over how good a frame update's map and its pose are, and not where the robot is.
-    pub fn apply_quality(&mut self, frame_update: MapFrameUpdate) {
+    /// Takes over how good the map and the pose of a session are, which it does not keep, and not where the robot is; also for the updates that
+    /// wait.
+    pub fn restore_quality(&mut self, latest: MapFrameUpdate) {
+        self.apply_quality(latest);
+        let MapFrameUpdate { uncertainty, unconfirmed, unreliable, .. } = latest;
+        for waiting in &mut self.frame_updates {
+            *waiting = MapFrameUpdate { uncertainty, unconfirmed, unreliable, ..*waiting };
+        }
+    }
+
+    fn apply_quality(&mut self, frame_update: MapFrameUpdate) {
         self.uncertainty = frame_update.uncertainty;
+        self.is_unconfirmed = frame_update.unconfirmed;
         self.is_unreliable = frame_update.unreliable;
         self.closures = frame_update.closures;
     }
