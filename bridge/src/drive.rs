@@ -47,7 +47,7 @@ struct RobotDrive {
     lease: Option<(DriveClient, Monotonic)>,
     /// Until when the base on another machine drives the robot.
     base_until: Option<Monotonic>,
-    /// The client whose velocity was the last to pass.
+    /// The client whose velocity moved the robot last, until the navigator, the base or another client takes over.
     last_driver: Option<ClientId>,
     /// Whether the navigator drives the robot to a goal.
     is_navigated: bool,
@@ -70,7 +70,7 @@ pub struct DriveArbiter {
     robot_count: usize,
     selected: RobotId,
     is_stopped: bool,
-    /// Number of stops, and of times that a client has begun to drive.
+    /// Number of stops, and of times that a client has begun to drive a robot or has taken it over from another.
     interruptions: u64,
     lease: Duration,
     /// The robot that a client's thumb stick moves while its grip (the dead man's switch) is held.
@@ -118,7 +118,8 @@ impl DriveArbiter {
         self.is_stopped = is_stopped;
     }
 
-    /// Returns the number of stops, and of times that a client has begun to drive, since the start.
+    /// Returns the number of stops, and of times that a client has begun to drive a robot or has taken it over from another,
+    /// since the start.
     pub fn interruptions(&self) -> u64 {
         self.interruptions
     }
@@ -163,19 +164,23 @@ impl DriveArbiter {
         if is_moving {
             state.lease = Some((driver, now + self.lease));
             state.base_until = None;
+            // A zero makes nobody the driver: a client that only watches and sends zeros stops nothing when it leaves.
+            state.last_driver = driver.client;
             self.interruptions += u64::from(before.is_none());
         }
-        state.last_driver = driver.client;
         DriveDecision::Pass
     }
 
     /// Decides on a velocity of the navigator, which takes no lease and gives way to everybody who has one.
-    pub fn decide_navigation(&self, robot: RobotId, now: Monotonic) -> DriveDecision {
+    pub fn decide_navigation(&mut self, robot: RobotId, now: Monotonic) -> DriveDecision {
         match self.leaseholder(robot, now) {
             _ if self.is_stopped => DriveDecision::Stopped,
             Some(holder) => DriveDecision::DrivenBy(holder),
             None if self.robots[robot.index()].is_driven_by_base(now) => DriveDecision::DrivenByBase,
-            None => DriveDecision::Pass,
+            None => {
+                self.robots[robot.index()].last_driver = None;
+                DriveDecision::Pass
+            }
         }
     }
 
@@ -192,6 +197,7 @@ impl DriveArbiter {
         let state = &mut self.robots[robot.index()];
         if is_moving {
             state.base_until = Some(now + self.lease);
+            state.last_driver = None;
         } else if state.is_navigated && !state.is_driven_by_base(now) {
             return DriveDecision::Ignore;
         }
@@ -246,9 +252,11 @@ impl DriveArbiter {
         now: Monotonic,
     ) -> Option<DriveClient> {
         let holder = self.leaseholder(robot, now);
-        self.interruptions += u64::from(holder.is_none());
         let before = holder.filter(|holder| !holder.is_same(&driver));
-        self.robots[robot.index()].lease = Some((driver, now + self.lease));
+        self.interruptions += u64::from(holder.is_none() || before.is_some());
+        let state = &mut self.robots[robot.index()];
+        state.lease = Some((driver, now + self.lease));
+        state.last_driver = state.last_driver.filter(|last| Some(*last) == driver.client);
         before
     }
 
@@ -267,7 +275,7 @@ impl DriveArbiter {
         before
     }
 
-    /// Ends a client's leases; returns the robots that it drove last, which must be stopped.
+    /// Ends a client's leases; returns the robots that it moved and nobody else since, which must be stopped.
     pub fn release_client(&mut self, client: ClientId) -> Vec<RobotId> {
         self.set_stick_target(client, None);
         let mut driven = Vec::new();
@@ -284,97 +292,4 @@ impl DriveArbiter {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn client(serial: u64) -> DriveClient {
-        let client = ClientId { slot: serial as usize, serial };
-        DriveClient { client: Some(client), address: Some([10, 0, 0, serial as u8].into()) }
-    }
-
-    fn at_ms(ms: u64) -> Monotonic {
-        Monotonic(ms * 1_000_000)
-    }
-
-    #[test]
-    fn one_client_drives_a_robot_until_its_lease_ends() {
-        let (one, two) = (client(1), client(2));
-        let robot = RobotId::new(1).unwrap();
-        let mut drive = DriveArbiter::new(2, robot, Duration::from_secs(1));
-        assert_eq!(
-            drive.decide(two, robot, false, at_ms(0)),
-            DriveDecision::Pass,
-            "anybody may send zero to a robot that nobody drives"
-        );
-        assert_eq!(drive.decide(one, robot, true, at_ms(0)), DriveDecision::Pass);
-        assert_eq!(drive.decide(two, robot, true, at_ms(900)), DriveDecision::DrivenBy(one));
-        assert_eq!(drive.decide(two, robot, false, at_ms(900)), DriveDecision::Ignore);
-        assert_eq!(drive.decide(one, robot, false, at_ms(950)), DriveDecision::Pass);
-        assert_eq!(
-            drive.decide(two, robot, true, at_ms(1001)),
-            DriveDecision::Pass,
-            "a zero velocity renews no lease"
-        );
-        assert_eq!(drive.take_control(one, robot, at_ms(1100)), Some(two));
-        assert_eq!(drive.decide(two, robot, true, at_ms(1200)), DriveDecision::DrivenBy(one));
-        assert_eq!(drive.decide(one, robot, true, at_ms(1300)), DriveDecision::Pass);
-        assert_eq!(drive.release_client(one.client.unwrap()), [robot]);
-        assert_eq!(
-            drive.decide(two, robot, true, at_ms(1400)),
-            DriveDecision::Pass,
-            "the lease ends with its client"
-        );
-    }
-
-    #[test]
-    fn the_emergency_stop_refuses_every_client() {
-        let robot = RobotId::new(1).unwrap();
-        let mut drive = DriveArbiter::new(1, robot, Duration::from_secs(1));
-        drive.set_stopped(true);
-        assert_eq!(drive.decide(client(1), robot, true, at_ms(0)), DriveDecision::Stopped);
-        assert_eq!(drive.decide(client(1), robot, false, at_ms(0)), DriveDecision::Ignore);
-        drive.set_stopped(false);
-        assert_eq!(drive.decide(client(1), robot, true, at_ms(0)), DriveDecision::Pass);
-        assert_eq!(drive.robot(1), Some(robot));
-        assert_eq!((drive.robot(0), drive.robot(2), drive.robot(-1)), (None, None, None));
-    }
-
-    #[test]
-    fn the_base_drives_before_the_navigator_and_after_every_client() {
-        let robot = RobotId::new(1).unwrap();
-        let mut drive = DriveArbiter::new(1, robot, Duration::from_secs(1));
-        drive.set_navigated(robot, true);
-        assert_eq!(drive.decide_base(robot, false, at_ms(0)), DriveDecision::Ignore, "a zero stops no goal");
-        assert_eq!(drive.decide_navigation(robot, at_ms(0)), DriveDecision::Pass);
-        assert_eq!(drive.decide_base(robot, true, at_ms(0)), DriveDecision::Pass);
-        assert_eq!(drive.decide_navigation(robot, at_ms(900)), DriveDecision::DrivenByBase);
-        assert_eq!(drive.decide(client(1), robot, false, at_ms(900)), DriveDecision::Ignore);
-        assert_eq!(drive.interruptions(), 0);
-        assert_eq!(drive.decide(client(1), robot, true, at_ms(900)), DriveDecision::Pass);
-        assert_eq!(drive.decide_base(robot, true, at_ms(1000)), DriveDecision::DrivenBy(client(1)));
-        assert!(drive.is_driven_by_client(at_ms(1000)) && !drive.is_driven_by_client(at_ms(2000)));
-        assert_eq!(drive.interruptions(), 1);
-        drive.set_stopped(true);
-        assert_eq!(drive.decide_base(robot, true, at_ms(2000)), DriveDecision::Stopped);
-        assert_eq!(drive.interruptions(), 2);
-    }
-
-    #[test]
-    fn after_a_restart_the_former_driver_alone_gets_its_robot() {
-        let robot = RobotId::new(1).unwrap();
-        let (former, stranger) = (client(1), client(2));
-        let mut drive = DriveArbiter::new(1, robot, Duration::from_secs(1));
-        drive.restore_lease(robot, former.address, at_ms(4000));
-        let before = DriveClient { client: None, ..former };
-        assert_eq!(drive.decide(stranger, robot, true, at_ms(100)), DriveDecision::DrivenBy(before));
-        assert_eq!(drive.decide(stranger, robot, false, at_ms(100)), DriveDecision::Ignore);
-        assert_eq!(drive.decide(former, robot, true, at_ms(200)), DriveDecision::Pass);
-        assert_eq!(drive.decide(stranger, robot, true, at_ms(300)), DriveDecision::DrivenBy(former));
-        drive.restore_lease(robot, former.address, at_ms(4000));
-        assert_eq!(
-            drive.decide(stranger, robot, true, at_ms(4000)),
-            DriveDecision::Pass,
-            "it never came back"
-        );
-    }
-}
+mod tests;

@@ -138,6 +138,61 @@ fn releasing_the_grip_stops_the_robot_that_the_stick_moved() {
 }
 
 #[test]
+fn a_stick_without_permission_sends_no_zero_and_its_client_stops_nothing() {
+    let simulation = Simulation::new();
+    let address = std::net::IpAddr::from([10, 0, 0, 9]);
+    let client = simulation.bridge.connect((address, 1).into()).unwrap();
+    simulation.register(client, name::PUBLISH, "/quest/joystick", Joy::TYPE);
+    let joy = |grip: f32| Joy { axes: vec![0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, grip], ..Joy::default() };
+    simulation.send(client, "/quest/joystick", &joy(1.0));
+    assert!(simulation.errors(client)[0].contains("may not drive yet"));
+    simulation.send(client, "/quest/joystick", &joy(0.0));
+    simulation.bridge.disconnect(client);
+    assert_eq!(simulation.take_velocities(), []);
+    // A zero of a client that may drive passes, also the one of a released grip.
+    let client = simulation.connect(2, &[DRIVE_1[0], ("/quest/joystick", Joy::TYPE)]);
+    simulation.send(client, "/quest/joystick", &joy(1.0));
+    simulation.send(client, "/quest/joystick", &joy(0.0));
+    simulation.send(client, "/cmd_vel_1", &forward(0.0));
+    assert_eq!(simulation.take_velocities(), [(1, 0.15, 0.0), (1, 0.0, 0.0), (1, 0.0, 0.0)]);
+    simulation.send(client, "/quest/joystick", &joy(1.0));
+    simulation.bridge.disconnect(client);
+    assert_eq!(simulation.take_velocities(), [(1, 0.15, 0.0), (1, 0.0, 0.0)], "a driver that vanishes");
+}
+
+#[test]
+fn a_part_of_the_process_keeps_its_place_and_its_services_however_long_it_is_silent() {
+    let mut simulation = Simulation::new();
+    let permanent = simulation.bridge.connect_permanent(([127, 0, 0, 1], 1).into()).unwrap();
+    simulation.connect(2, &[]);
+    simulation.register(permanent, name::UNITY_SERVICE, "/pause", "std_srvs/Empty");
+    for _ in 0..301 {
+        simulation.advance_ms(1000);
+    }
+    let clients: Vec<_> =
+        simulation.bridge.clients(simulation.now).iter().map(|client| client.address).collect();
+    assert_eq!(
+        clients,
+        [std::net::SocketAddr::from(([127, 0, 0, 1], 1))],
+        "the remote one is dropped after 300 s"
+    );
+    let other = simulation.connect(3, &[]);
+    simulation.register(other, name::UNITY_SERVICE, "/pause", "std_srvs/Empty");
+    assert!(simulation.errors(other)[0].contains("/pause"), "the service is taken");
+    simulation.take_frames(permanent);
+    // Of the clients that are silent, one makes room for a new one; the silence of the part of the process does not count.
+    simulation.advance_ms(6000);
+    let places = BridgeConfig::default().clients_max - 2;
+    for index in 0..places {
+        simulation.connect(100 + index as u16, &[]);
+    }
+    simulation.connect(4, &[]);
+    let clients = simulation.bridge.clients(simulation.now);
+    let ports: Vec<u16> = clients.iter().map(|client| client.address.port()).collect();
+    assert!(ports.contains(&1) && ports.contains(&4) && !ports.contains(&3), "{ports:?}");
+}
+
+#[test]
 fn the_emergency_stop_stops_all_robots_until_it_is_released() {
     let simulation = Simulation::new();
     let topics = [DRIVE_1[0], ("/emergency_stop", Bool::TYPE), ("/emergency_stop_release", Empty::TYPE)];

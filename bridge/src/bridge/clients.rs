@@ -1,7 +1,7 @@
 //! The clients of the bridge: their state, what they may hold, and how they are dropped.
 
 use super::Bridge;
-use crate::core::ClientSelector;
+use crate::core::{ClientSelector, ConnectError};
 use crate::frame::IncompleteFrame;
 use crate::router::{Client, ClientId, OutgoingQueue};
 use crate::world::ClockEstimate;
@@ -44,6 +44,16 @@ pub struct ClientStatus {
 }
 
 impl Bridge {
+    /// Connects a part of this process as [`Self::connect`] does. It is never dropped for its silence, and keeps its services
+    /// without sending anything.
+    pub fn connect_permanent(&self, peer: SocketAddr) -> Result<ClientId, ConnectError> {
+        self.update(|core| {
+            let id = core.connect(peer, None)?;
+            core.mark_permanent(id);
+            Ok(id)
+        })
+    }
+
     /// Records an event for the operator's log.
     pub(crate) fn report_event(&self, event: String) {
         self.core.borrow_mut().report(event);

@@ -134,7 +134,8 @@ impl Core {
 
     /// Drops the client that has been silent longest, if it has been so for `silence_s`; returns whether there was one.
     fn drop_most_silent(&mut self, is_candidate: impl Fn(&&Client) -> bool) -> bool {
-        let candidates = self.router.clients().filter(is_candidate);
+        let candidates =
+            self.router.clients().filter(|client| !client.input.is_permanent).filter(is_candidate);
         let Some(client) = candidates.min_by_key(|client| client.input.last_at) else { return false };
         let (id, silent) = (client.id, self.silence_of(client));
         if silent < self.config.limits.silence() {
@@ -144,8 +145,11 @@ impl Core {
         true
     }
 
-    /// Returns for how long a client has sent nothing.
+    /// Returns for how long a client has sent nothing; zero for a part of this process.
     pub fn silence_of(&self, client: &Client) -> Duration {
+        if client.input.is_permanent {
+            return Duration::ZERO;
+        }
         Duration::from_nanos(self.admission.now.since(client.input.last_at))
     }
 
@@ -160,6 +164,13 @@ impl Core {
         self.admission.now = self.admission.now.max(now);
         if let Some(client) = id.and_then(|id| self.router.client_mut(id)) {
             client.input.last_at = now;
+        }
+    }
+
+    /// Records that a client is a part of this process, which is never dropped for its silence.
+    pub fn mark_permanent(&mut self, id: ClientId) {
+        if let Some(client) = self.router.client_mut(id) {
+            client.input.is_permanent = true;
         }
     }
 

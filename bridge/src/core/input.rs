@@ -329,16 +329,18 @@ impl Core {
 
     /// Drives the selected robot by a thumb stick while its grip (dead man's switch) is held.
     ///
-    /// The robot that the stick moved stops when the grip is released, the selection changes or an axis is invalid.
+    /// The robot that the stick moved stops when the grip is released, the selection changes or an axis is invalid. A
+    /// client without permission never has such a robot, so that none stops for it.
     fn apply_stick(&mut self, id: ClientId, stick: Option<Stick>, now: Monotonic) -> Result<(), InputError> {
         let held = stick.filter(|stick| stick.grip_held);
-        let target = held.map(|_| self.gate.drive().selected());
+        let permission = held.map_or(Ok(()), |_| self.check(Action::Drive, id));
+        let target = held.filter(|_| permission.is_ok()).map(|_| self.gate.drive().selected());
         let before = self.gate.drive_mut().set_stick_target(id, target);
         if let Some(robot) = before.filter(|robot| Some(*robot) != target) {
             self.request_velocity(id, robot, Velocity::ZERO, now)?;
         }
+        permission?;
         if let (Some(stick), Some(robot)) = (held, target) {
-            self.check(Action::Drive, id)?;
             let (linear_m_s, angular_rad_s) = stick.velocity(&self.config);
             self.request_velocity(id, robot, Velocity { linear_m_s, angular_rad_s }, now)?;
         }

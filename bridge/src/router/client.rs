@@ -111,6 +111,8 @@ pub struct InputState {
     pub connected_at: Monotonic,
     /// When the client last sent a whole frame, or made progress with a large one.
     pub last_at: Monotonic,
+    /// Whether the client is a part of this process, which lives while the process does, whatever it sends.
+    pub is_permanent: bool,
     /// The large frame that is being received.
     pub large_frame: Option<LargeFrame>,
     /// Size of the input buffer, bytes, if it has grown for a large frame.

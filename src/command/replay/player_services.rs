@@ -5,7 +5,7 @@
 use super::player::Player;
 use bridge::cdr::{DecodeError, Reader, Writer};
 use bridge::command::{Call, Registration, name};
-use bridge::frame::{Parser, Side};
+use bridge::frame::{FrameError, Parser, Side};
 use bridge::{Bridge, ClientId};
 use msg::Monotonic;
 use recording::playback::Speed;
@@ -16,7 +16,7 @@ const REQUEST_BYTES_MAX: usize = 4 << 10;
 
 /// What a service does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Service {
+pub enum Service {
     Pause,
     Resume,
     TogglePaused,
@@ -43,6 +43,8 @@ pub struct PlayerServices {
     parser: Parser,
     /// Number of the call whose request comes next.
     call: Option<Call>,
+    /// Whether people were told that the services are not offered.
+    is_lost: bool,
 }
 
 impl PlayerServices {
@@ -51,7 +53,7 @@ impl PlayerServices {
     /// # Errors
     /// The bridge refuses the connection.
     pub fn open(bridge: &Bridge, now: Monotonic) -> Result<Self, bridge::ConnectError> {
-        let id = bridge.connect(SocketAddr::from((Ipv4Addr::LOCALHOST, 0)))?;
+        let id = bridge.connect_permanent(SocketAddr::from((Ipv4Addr::LOCALHOST, 0)))?;
         let mut sent = Vec::new();
         for (topic, message_name, _) in SERVICES {
             let (topic, message_name) = (topic.to_owned(), message_name.to_owned());
@@ -59,25 +61,49 @@ impl PlayerServices {
             Side::Client.write_command(&mut sent, name::UNITY_SERVICE, &registration);
         }
         send(bridge, id, &sent, now);
-        Ok(Self { id, parser: Parser::new(REQUEST_BYTES_MAX), call: None })
+        Ok(Self { id, parser: Parser::new(REQUEST_BYTES_MAX), call: None, is_lost: false })
     }
 
-    /// Answers the calls that have come. Returns what was done, for people.
-    pub fn answer(&mut self, bridge: &Bridge, player: &mut Player, now: Monotonic) -> Vec<String> {
+    /// Answers the calls that have come: `apply` does what a request asks for. Returns what was done, for people.
+    pub fn answer(
+        &mut self,
+        bridge: &Bridge,
+        now: Monotonic,
+        mut apply: impl FnMut(Service, &[u8], &mut Vec<u8>) -> Result<Option<String>, DecodeError>,
+    ) -> Vec<String> {
         let (mut received, mut answers, mut done) = (Vec::new(), Vec::new(), Vec::new());
-        // The connection of a process with itself ends with the process alone.
-        let _ = bridge.take_outgoing(self.id, &mut received);
+        if bridge.take_outgoing(self.id, &mut received).is_err() {
+            return self.open_again(bridge, now).into_iter().collect();
+        }
         self.parser.push(&received);
-        while let Ok(Some(frame)) = self.parser.next_frame() {
-            let of_frame = std::str::from_utf8(frame.name).unwrap_or_default();
-            if of_frame == name::REQUEST {
-                self.call = serde_json::from_slice(frame.json()).ok();
-                continue;
-            }
-            let service = SERVICES.iter().find(|(name, ..)| *name == of_frame);
+        loop {
+            let (name, request) = match self.parser.next_frame() {
+                Ok(Some(frame)) if frame.name == name::REQUEST.as_bytes() => {
+                    self.call = serde_json::from_slice(frame.json()).ok();
+                    continue;
+                }
+                Ok(Some(frame)) => {
+                    (String::from_utf8_lossy(frame.name).into_owned(), Ok(frame.payload.to_owned()))
+                }
+                Ok(None) => break,
+                Err(FrameError::Payload { name, announced, limit }) => {
+                    self.parser.skip_frame();
+                    (name, Err(format!("a request of {announced} bytes is refused, the limit is {limit}")))
+                }
+                Err(why @ FrameError::Name { .. }) => {
+                    // Where the next frame begins is not known.
+                    done.push(format!("the services of the replay: {why}"));
+                    done.extend(self.open_again(bridge, now));
+                    return done;
+                }
+            };
+            let service = SERVICES.iter().find(|(of, ..)| *of == name);
             let (Some((service, _, what)), Some(call)) = (service, self.call.take()) else { continue };
             let mut response = Vec::new();
-            match apply(*what, frame.payload, player, &mut response) {
+            let apply = |request: Vec<u8>| {
+                apply(*what, &request, &mut response).map_err(|why: DecodeError| why.to_string())
+            };
+            match request.and_then(apply) {
                 Ok(text) => done.extend(text),
                 // A response without fields is one that no caller takes for a success.
                 Err(why) => done.push(format!("{service}: {why}")),
@@ -88,11 +114,28 @@ impl PlayerServices {
         send(bridge, self.id, &answers, now);
         done
     }
+
+    /// Connects and registers anew, and says so once; a bridge that refuses is asked again at the next call.
+    fn open_again(&mut self, bridge: &Bridge, now: Monotonic) -> Option<String> {
+        bridge.disconnect(self.id);
+        match Self::open(bridge, now) {
+            Ok(opened) => {
+                *self = opened;
+                Some("the bridge had dropped the services of the replay: they are offered again".into())
+            }
+            Err(_) if self.is_lost => None,
+            Err(why) => {
+                self.is_lost = true;
+                Some(format!("the services of the replay are not offered: {why}"))
+            }
+        }
+    }
 }
 
 /// Passes a client's bytes to the bridge.
 fn send(bridge: &Bridge, id: ClientId, bytes: &[u8], now: Monotonic) {
-    let mut parser = Parser::new(REQUEST_BYTES_MAX);
+    // Whole frames that were written here: none is longer than all of them.
+    let mut parser = Parser::new(bytes.len());
     parser.push(bytes);
     while let Ok(Some(frame)) = parser.next_frame() {
         bridge.receive(id, frame, now);
@@ -100,7 +143,7 @@ fn send(bridge: &Bridge, id: ClientId, bytes: &[u8], now: Monotonic) {
 }
 
 /// Does what a request asks for, and writes the response. Returns what changed, for people.
-fn apply(
+pub fn apply(
     service: Service,
     request: &[u8],
     player: &mut Player,
@@ -141,3 +184,6 @@ fn answer_success(response: &mut Vec<u8>, result: Result<String, impl std::fmt::
     Writer::new(response).bool(result.is_ok());
     Some(result.unwrap_or_else(|why| why.to_string()))
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,7 +1,7 @@
 //! Serves a replay to clients on TCP, to browsers with the page or Foxglove, and to ROS 2 nodes such as RViz.
 
 use super::player::{Player, Transports};
-use super::player_services::PlayerServices;
+use super::player_services::{self, PlayerServices};
 use super::{ReplayArgs, ReplayError};
 use crate::clock::now;
 use crate::command::output::note;
@@ -151,7 +151,10 @@ async fn play(player: &mut Player, mut services: PlayerServices, bridge: &Bridge
     let (mut reported, mut was_over) = (Instant::now(), false);
     while !stop.requested() {
         let has_more = player.turn();
-        services.answer(bridge, player, now()).iter().for_each(|done| note(done));
+        let apply = |service, request: &[u8], response: &mut Vec<u8>| {
+            player_services::apply(service, request, player, response)
+        };
+        services.answer(bridge, now(), apply).iter().for_each(|done| note(done));
         if let Some(done) = keys.next_key().and_then(|key| player.apply_key(key)) {
             note(&done);
         }
