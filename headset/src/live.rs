@@ -7,6 +7,7 @@ use sim::Simulator;
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpStream};
+use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -77,8 +78,10 @@ impl Drop for Headset {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A thread that panicked has said so.
-            let _ = thread.join();
+            let ended = thread.join();
+            if let (Err(why), false) = (ended, std::thread::panicking()) {
+                resume_unwind(why);
+            }
         }
     }
 }
@@ -107,7 +110,7 @@ fn play_on(robots: &mut HeadsetRobots, mut stream: TcpStream, stop: &AtomicBool)
     let reader = std::thread::spawn(move || read_velocities(reading, &received));
     let result = tick_until(robots, &mut stream, &velocities, stop);
     let _ = stream.shutdown(Shutdown::Both);
-    let _ = reader.join();
+    reader.join().unwrap_or_else(|why| resume_unwind(why));
     result
 }
 
@@ -145,11 +148,22 @@ fn read_velocities(mut stream: TcpStream, velocities: &NewestVelocities) {
     let mut parser = Parser::new(FRAME_BYTES_MAX);
     while let Ok(count @ 1..) = stream.read(parser.space()) {
         parser.filled(count);
-        while let Ok(Some(frame)) = parser.next_frame() {
-            if let Ok(topic) = std::str::from_utf8(frame.name)
-                && topic.ends_with("/cmd_vel")
-            {
-                velocities.set(topic, frame.payload);
+        loop {
+            match parser.next_frame() {
+                Ok(Some(frame)) => {
+                    if let Ok(topic) = std::str::from_utf8(frame.name)
+                        && topic.ends_with("/cmd_vel")
+                    {
+                        velocities.set(topic, frame.payload);
+                    }
+                }
+                Ok(None) => break,
+                Err(why) => {
+                    tracing::warn!("the headset closes its connection: {why}");
+                    // The thread that writes notices it, and connects anew.
+                    let _ = stream.shutdown(Shutdown::Both);
+                    return;
+                }
             }
         }
     }

@@ -25,6 +25,7 @@ use link_statistics::LinkStatistics;
 use msg::{ROBOTS_MAX, RobotId, Stamp};
 use robot_topics::RobotTopics;
 use std::collections::{BTreeSet, VecDeque};
+use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -159,7 +160,7 @@ pub fn run(args: &OperatorArgs, stop: &AtomicBool) -> Result<OperatorReport, Ope
             scope.spawn(|| receive(client, &received, LinkStatistics::new(robots.clone()), epoch, &done));
         control_loop.run(stop);
         done.store(true, Ordering::Relaxed);
-        receiver.join().unwrap_or_default()
+        receiver.join().unwrap_or_else(|why| resume_unwind(why))
     });
     let link = statistics.report();
     if link.connections == 0 {

@@ -122,10 +122,14 @@ impl<J, R> JobWorker<J, R> for JobThread<J, R> {
 }
 
 impl<J, R> Drop for JobThread<J, R> {
-    /// Waits until the last job is done where jobs leave state.
+    /// Waits until the last job is done where jobs leave state. A job that panicked ends the caller too: its state is lost.
     fn drop(&mut self) {
         self.jobs = None;
-        let _ = self.thread.take().map(JoinHandle::join);
+        if let Some(Err(why)) = self.thread.take().map(JoinHandle::join)
+            && !std::thread::panicking()
+        {
+            std::panic::resume_unwind(why);
+        }
     }
 }
 

@@ -5,7 +5,8 @@
 
 use crate::realtime::yield_to_all_others;
 use std::io;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
@@ -23,22 +24,42 @@ struct Job<S> {
     run: Action<S>,
 }
 
+/// What the threads and their caller know of the jobs.
+#[derive(Debug, Default)]
+struct JobCounts {
+    /// Memory of the jobs that wait or are being done, bytes.
+    waiting_bytes: AtomicUsize,
+    /// Whether a job has panicked: the state may be half changed.
+    has_panicked: AtomicBool,
+}
+
 /// The state, and the jobs that wait for it. Who holds its lock does the next job.
 struct Worker<S> {
     state: S,
     jobs: Receiver<Job<S>>,
-    waiting_bytes: Arc<AtomicUsize>,
+    counts: Arc<JobCounts>,
 }
 
 impl<S> Worker<S> {
-    fn run(&mut self, job: Job<S>) {
-        (job.run)(&mut self.state);
-        self.waiting_bytes.fetch_sub(job.bytes, Ordering::Relaxed);
+    /// Does a job. After one has panicked the others are dropped: the state may be half changed.
+    fn run(&mut self, Job { bytes, run }: Job<S>) {
+        if !self.counts.has_panicked.load(Ordering::Relaxed) {
+            // The state is not used any more after a panic.
+            if catch_unwind(AssertUnwindSafe(|| run(&mut self.state))).is_err() {
+                self.counts.has_panicked.store(true, Ordering::Relaxed);
+                let thread = thread::current();
+                tracing::error!(
+                    "a job of the thread {} panicked: no further jobs are done",
+                    thread.name().unwrap_or("main")
+                );
+            }
+        }
+        self.counts.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
     }
 
     /// Does what waits, until no more than this is left.
     fn run_down_to(&mut self, bytes: usize) {
-        while self.waiting_bytes.load(Ordering::Relaxed) > bytes {
+        while self.counts.waiting_bytes.load(Ordering::Relaxed) > bytes {
             let Ok(job) = self.jobs.try_recv() else { return };
             self.run(job);
         }
@@ -58,7 +79,7 @@ pub struct WaitingLimits {
 pub struct SpareTime<S> {
     worker: Arc<Mutex<Worker<S>>>,
     jobs: Sender<Job<S>>,
-    waiting_bytes: Arc<AtomicUsize>,
+    counts: Arc<JobCounts>,
     limits: WaitingLimits,
     idle: JoinHandle<()>,
     helper: JoinHandle<()>,
@@ -72,8 +93,8 @@ impl<S: Send + 'static> SpareTime<S> {
     /// The system has no memory for a thread.
     pub fn start(state: S, limits: WaitingLimits) -> io::Result<Self> {
         let (jobs, received) = channel();
-        let waiting_bytes = Arc::new(AtomicUsize::new(0));
-        let worker = Worker { state, jobs: received, waiting_bytes: waiting_bytes.clone() };
+        let counts = Arc::new(JobCounts::default());
+        let worker = Worker { state, jobs: received, counts: counts.clone() };
         let worker = Arc::new(Mutex::new(worker));
         let (end_helper, ends) = channel::<()>();
         let idle = spawn("work-idle", {
@@ -86,31 +107,38 @@ impl<S: Send + 'static> SpareTime<S> {
             }
         })?;
         let helper = spawn("work-helper", {
-            let (worker, waiting) = (worker.clone(), waiting_bytes.clone());
+            let (worker, counts) = (worker.clone(), counts.clone());
             move || {
                 while ends.recv_timeout(LOOK_PERIOD) == Err(RecvTimeoutError::Timeout) {
-                    if waiting.load(Ordering::Relaxed) > limits.help {
+                    if counts.waiting_bytes.load(Ordering::Relaxed) > limits.help {
                         lock(&worker).run_down_to(limits.help / 2);
                     }
                 }
             }
         })?;
-        Ok(Self { worker, jobs, waiting_bytes, limits, idle, helper, end_helper })
+        Ok(Self { worker, jobs, counts, limits, idle, helper, end_helper })
     }
 
-    /// Adds a job that stands for so many bytes of memory. Returns false, and drops it, if too much waits.
+    /// Adds a job that stands for so many bytes of memory. Returns false, and drops it, if too much waits or a job has panicked.
     pub fn push(&self, bytes: usize, run: Action<S>) -> bool {
-        if self.waiting_bytes.load(Ordering::Relaxed).saturating_add(bytes) > self.limits.refuse {
+        let waiting_bytes = &self.counts.waiting_bytes;
+        let is_full = waiting_bytes.load(Ordering::Relaxed).saturating_add(bytes) > self.limits.refuse;
+        if is_full || self.has_panicked() {
             return false;
         }
-        self.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
+        waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
         // The threads live until this is dropped.
         self.jobs.send(Job { bytes, run }).is_ok()
     }
 
+    /// Returns whether a job has panicked, after which none is done.
+    pub fn has_panicked(&self) -> bool {
+        self.counts.has_panicked.load(Ordering::Relaxed)
+    }
+
     /// Does what is left, at the caller's priority, and returns the state; `None` if a job panicked.
     pub fn finish(self) -> Option<S> {
-        let Self { worker, jobs, idle, helper, end_helper, .. } = self;
+        let Self { worker, jobs, counts, idle, helper, end_helper, .. } = self;
         drop((jobs, end_helper));
         {
             let mut worker = lock(&worker);
@@ -120,7 +148,8 @@ impl<S: Send + 'static> SpareTime<S> {
         }
         let ended = [idle.join(), helper.join()];
         let worker = Arc::into_inner(worker)?.into_inner().ok()?;
-        ended.iter().all(Result::is_ok).then_some(worker.state)
+        let has_panicked = counts.has_panicked.load(Ordering::Relaxed);
+        (!has_panicked && ended.iter().all(Result::is_ok)).then_some(worker.state)
     }
 }
 
@@ -133,7 +162,8 @@ pub enum JobExecutor<S> {
 }
 
 impl<S: Send + 'static> JobExecutor<S> {
-    /// Does a job that takes so many bytes of memory while it waits. Returns false, and drops it, if too much waits.
+    /// Does a job that takes so many bytes of memory while it waits. Returns false, and drops it, if too much waits or a
+    /// job has panicked.
     pub fn push(&mut self, bytes: usize, run: Action<S>) -> bool {
         match self {
             Self::Now(state) => {
@@ -142,6 +172,11 @@ impl<S: Send + 'static> JobExecutor<S> {
             }
             Self::Later(work) => work.push(bytes, run),
         }
+    }
+
+    /// Returns whether a job has panicked, after which none is done. A panic of a job that is done at once is the caller's.
+    pub fn has_panicked(&self) -> bool {
+        matches!(self, Self::Later(work) if work.has_panicked())
     }
 
     /// Does what is left, and returns the state; `None` if a job panicked.
@@ -206,15 +241,36 @@ mod tests {
     }
 
     #[test]
+    fn a_panic_is_known_at_once_and_what_waits_is_given_back() {
+        let work = SpareTime::start(0, LIMITS).unwrap();
+        let (go, blocked) = sync_channel::<()>(0);
+        let panic = move |_: &mut i32| {
+            blocked.recv().unwrap();
+            panic!("a job of a test panics");
+        };
+        assert!(work.push(10, Box::new(panic)));
+        let waiting = (0..20).filter(|_| work.push(10, Box::new(|count: &mut i32| *count += 1))).count();
+        assert_eq!((waiting, work.has_panicked()), (20, false));
+        go.send(()).unwrap();
+        // The thread gives back the memory of the job that panicked, and of those that it drops.
+        while work.counts.waiting_bytes.load(Ordering::Relaxed) > 0 {
+            thread::yield_now();
+        }
+        assert!(work.has_panicked());
+        assert!(!work.push(10, Box::new(|_: &mut i32| {})), "nothing is done any more");
+        assert_eq!(work.finish(), None);
+    }
+
+    #[test]
     fn a_helper_leaves_what_is_not_much() {
         let (jobs, received) = channel();
-        let waiting_bytes = Arc::new(AtomicUsize::new(0));
-        let mut worker = Worker { state: 0, jobs: received, waiting_bytes: waiting_bytes.clone() };
+        let counts = Arc::new(JobCounts::default());
+        let mut worker = Worker { state: 0, jobs: received, counts: counts.clone() };
         for _ in 0..20 {
-            waiting_bytes.fetch_add(10, Ordering::Relaxed);
+            counts.waiting_bytes.fetch_add(10, Ordering::Relaxed);
             jobs.send(Job { bytes: 10, run: Box::new(|count: &mut i32| *count += 1) }).unwrap();
         }
         worker.run_down_to(LIMITS.help / 2);
-        assert_eq!((worker.state, waiting_bytes.load(Ordering::Relaxed)), (15, 50));
+        assert_eq!((worker.state, counts.waiting_bytes.load(Ordering::Relaxed)), (15, 50));
     }
 }

@@ -9,6 +9,7 @@ use crate::run::Run;
 use crate::watchdog::{Finding, Watchdog};
 use rustix::process::Signal;
 use std::io::{self, Read};
+use std::panic::resume_unwind;
 use std::process::{Child, ChildStdout, Stdio};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -107,7 +108,7 @@ impl OperatorProcess {
 
     /// Waits until an operator that has ended is read to its end; returns its report.
     fn take_report(&mut self) -> Option<serde_json::Value> {
-        self.printed.take()?.join().ok()?
+        self.printed.take()?.join().unwrap_or_else(|why| resume_unwind(why))
     }
 
     fn record_death(&mut self, notify: &mut dyn FnMut(String)) {

@@ -174,7 +174,7 @@ fn time_slices() -> Check {
         Ok(Ok(Some(slice))) => (slice == time_slice::SLICE_MIN, format!("{slice:?}")),
         Ok(Ok(None)) => (false, "the system's alone".to_string()),
         Ok(Err(why)) => (false, format!("refused: {why}")),
-        Err(_) => (false, "unknown".to_string()),
+        Err(_) => (false, "not known: the check itself failed".to_string()),
     };
     let advice = "Linux 6.12 or newer: robots and clients wait less for programs that compute";
     Check::new("time slices", is_short, found, advice)

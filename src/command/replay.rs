@@ -39,6 +39,7 @@ use slam::{
     BackEnd, FrontEnd, InitialPose, LocalFrameEstimate, MapFrameUpdate, Node, PlaceInMap, SessionIdentity,
     SlamConfig, TrajectoryError,
 };
+use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
@@ -283,7 +284,7 @@ fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed
         summary.not_located = feeder.not_located;
         localized = localizes.then(|| core::mem::take(&mut feeder.located));
         summary.scan_ms = Percentiles::of(core::mem::take(&mut feeder.times));
-        summary.back_end_ms = Percentiles::of(back_end.join().unwrap_or_default());
+        summary.back_end_ms = Percentiles::of(back_end.join().unwrap_or_else(|why| resume_unwind(why)));
     });
     summary.count_log(log);
     summary.count_records(&records);

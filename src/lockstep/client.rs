@@ -101,11 +101,19 @@ impl Client {
         }
         let Some((connection, parser)) = &mut self.connection else { return };
         parser.push(&connection.read());
-        while let Ok(Some(frame)) = parser.next_frame() {
-            match std::str::from_utf8(frame.name) {
-                Ok(topic) if !topic.starts_with("__") => on_message(topic, frame.payload),
-                _ => {}
+        let is_valid = loop {
+            match parser.next_frame() {
+                Ok(Some(frame)) => match std::str::from_utf8(frame.name) {
+                    Ok(topic) if !topic.starts_with("__") => on_message(topic, frame.payload),
+                    _ => {}
+                },
+                Ok(None) => break true,
+                Err(_) => break false,
             }
+        };
+        // What follows cannot be read: a client on a socket closes its connection too.
+        if !is_valid {
+            self.disconnect();
         }
     }
 }

@@ -273,9 +273,9 @@ impl<P: Ports> Recording<P> {
         }
     }
 
-    /// Returns whether the recording has ended, because the disk is full.
+    /// Returns whether the recording has ended, because the disk is full or the thread that writes panicked.
     pub fn has_ended(&self) -> bool {
-        self.to.counts.has_ended()
+        self.to.counts.has_ended() || self.to.work.has_panicked()
     }
 
     /// Records what has come, ends the recording and returns what it has.
