@@ -50,8 +50,7 @@ impl<P: Ports> FrontEndLoop<P> {
 
     /// Reports the last state of the front end; the process ends.
     pub fn end(self) {
-        let state = Box::new(self.runner.front.state());
-        self.runner.report(FrontEvent::Ended(state));
+        self.runner.end();
     }
 
     /// Returns the state of the front end.
@@ -160,6 +159,13 @@ impl FrontEndRunner {
         let sent = self.events.try_send(BackEndInput::FrontEnd(self.number, event)).is_ok();
         self.events_lost.set(self.events_lost.get() + u64::from(!sent));
         sent
+    }
+
+    /// Reports the last state, and waits until the queue has room: no scan waits any more, and the back end ends on it alone.
+    fn end(self) {
+        let state = Box::new(self.front.state());
+        // Without a back end nobody waits for it.
+        let _ = self.events.send(BackEndInput::FrontEnd(self.number, FrontEvent::Ended(state)));
     }
 
     fn apply_commands(&mut self) {
@@ -313,5 +319,53 @@ impl FrontEndRunner {
                 .map_or(last.map_from_base, |(map_from_odom, odom_from_base)| map_from_odom * odom_from_base),
             ..last
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ::slam::{InitialPose, SlamConfig, create_or_resume};
+    use msg::SlamMode;
+    use std::sync::mpsc::sync_channel;
+
+    /// A front end whose queue to the back end has room for one event, and the other end of the queue.
+    fn runner() -> (FrontEndRunner, Receiver<BackEndInput>) {
+        let (front, _) =
+            create_or_resume(SlamConfig::default(), None, SlamMode::Mapping, InitialPose::Unknown);
+        let beginning = BeginningFrontEnd {
+            front,
+            restart_map_from_odom: None,
+            given_map_from_odom: None,
+            is_paused: false,
+        };
+        let (events, inputs) = sync_channel(1);
+        let (_, commands) = sync_channel(1);
+        (FrontEndRunner::new(beginning, events, commands), inputs)
+    }
+
+    #[test]
+    fn the_back_end_is_told_of_the_end_though_its_queue_was_full() {
+        let (runner, inputs) = runner();
+        let state = || FrontEvent::State(Box::new(runner.front.state()));
+        assert!(runner.report(state()));
+        assert!(!runner.report(state()), "the queue is full");
+        let scan_path = std::thread::spawn(move || runner.end());
+        let events: Vec<BackEndInput> = inputs.iter().collect();
+        scan_path.join().unwrap();
+        let kinds = events.iter().map(|event| match event {
+            BackEndInput::FrontEnd(_, FrontEvent::State(_)) => "state",
+            BackEndInput::FrontEnd(_, FrontEvent::Ended(_)) => "ended",
+            _ => "other",
+        });
+        assert_eq!(kinds.collect::<Vec<_>>(), ["state", "ended"]);
+    }
+
+    #[test]
+    fn the_scan_path_ends_without_a_back_end_too() {
+        let (runner, inputs) = runner();
+        assert!(runner.report(FrontEvent::State(Box::new(runner.front.state()))));
+        drop(inputs);
+        runner.end();
     }
 }
