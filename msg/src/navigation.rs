@@ -3,7 +3,7 @@
 use crate::{CommandSource, Header, RobotId, bounded_text};
 use bytemuck::{Pod, Zeroable};
 
-/// Most poses of one goal.
+/// Most poses of one goal: a path of waypoints is sent as one.
 pub const GOAL_POSES_MAX: usize = 64;
 /// Most points of one planned path: 51 m at 0.1 m.
 pub const PLAN_POINTS_MAX: usize = 512;

@@ -2,7 +2,7 @@
 
 use msg::{Monotonic, PROCESSES_MAX, ProcessHealth, ProcessStats, ROBOTS_MAX, RobotId, Role};
 
-/// The newest report of each process: sim and slam of each robot, then merge, telemetry, bridge, record, nav.
+/// The newest report of each process: sim and slam of each robot, then merge, telemetry, bridge, record, nav, objects.
 pub(crate) struct ProcessTable {
     robot_count: usize,
     slots: [Option<Report>; PROCESSES_MAX],

@@ -5,8 +5,7 @@ use msg::Pose2;
 use msg::pose::COORDINATE_MAX_M;
 use thiserror::Error;
 
-/// Most poses of one goal: a path of waypoints is sent as one.
-pub const GOAL_POSES_MAX: usize = 64;
+pub use msg::GOAL_POSES_MAX;
 
 /// Distance within which two poses are one place, at which the robot turns, metres.
 const SAME_PLACE_M: f64 = 0.01;
