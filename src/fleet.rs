@@ -91,12 +91,15 @@ pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetErr
     true_starts(config)
 }
 
-/// Returns the same transforms for a process of a run that has begun.
+/// Returns the same transforms for a process of a run that has begun. Those of robots that have loaded a map of another frame in this
+/// run are unknown.
 pub fn known_starts_of_run(run: &Run) -> Result<Vec<Option<Pose2>>, FleetError> {
-    match sessions::continued_starts(run)? {
-        Some(starts) => Ok(starts),
-        None => known_starts(&run.config),
-    }
+    let mut starts = match sessions::continued_starts(run)? {
+        Some(starts) => starts,
+        None => known_starts(&run.config)?,
+    };
+    sessions::forget_other_frames(&sessions::folder(run), &mut starts);
+    Ok(starts)
 }
 
 /// Returns whether the fleet's `map` is in a frame of its own, whose place in the room is not known: the robots start anywhere, or did

@@ -4,7 +4,7 @@
 pub use runtime::{
     channel, child_messages, child_process, clock, emergency_stop_file, end_grace, event_loop, job_thread,
     keys, layout, lossy_path, other_fleets, ports, processes, progress, realtime, recording_files, restarts,
-    runtime_folder, shared_memory, spare_time, stop, storage, time_slice, watchdog,
+    runtime_folder, saved_files, shared_memory, spare_time, stop, storage, time_slice, watchdog,
 };
 
 // The configuration is a crate of its own too.

@@ -23,6 +23,8 @@ const STARTS: &str = "starts.json";
 const OWN_FRAME: &str = "own_frame";
 /// Largest file of poses that is read, bytes.
 const STARTS_BYTES_MAX: u64 = 64 << 10;
+/// Largest file with the number of a frame, bytes.
+const FRAME_BYTES_MAX: u64 = 16;
 /// Larger than any session without nodes, bytes.
 const WITHOUT_NODES_BYTES_MAX: u64 = 64 << 10;
 /// Largest coordinate of a map's pose, metres or radians.
@@ -78,6 +80,33 @@ pub fn file(folder: &Path, robot: RobotId) -> PathBuf {
 /// Returns the path of the file that says that a robot's SLAM is paused.
 pub fn pause_marker(folder: &Path, robot: RobotId) -> PathBuf {
     folder.join(format!("{robot}.paused"))
+}
+
+/// Returns the path of the file with the number of the frame of a robot's map; none while it is that in which the robot began.
+pub fn frame_file(folder: &Path, robot: RobotId) -> PathBuf {
+    folder.join(format!("{robot}.frame"))
+}
+
+/// Reads the number of a map's frame. Without a file it is 0: the frame in which the robot began.
+///
+/// # Errors
+/// The file cannot be read, or has no number.
+pub fn read_frame(storage: &impl Storage, file: &Path) -> io::Result<u32> {
+    let bytes = match storage.read(file, FRAME_BYTES_MAX) {
+        Err(why) if why.kind() == io::ErrorKind::NotFound => return Ok(0),
+        read => read?,
+    };
+    let number = std::str::from_utf8(&bytes).ok().and_then(|text| text.trim().parse().ok());
+    number.ok_or_else(|| io::Error::other("is no number"))
+}
+
+/// Removes the starts of robots whose map in a folder is in another frame than that in which they began: a map of elsewhere was loaded.
+pub fn forget_other_frames(folder: &Path, starts: &mut [Option<Pose2>]) {
+    for (robot, start) in RobotId::first(starts.len()).zip(starts) {
+        // A number that cannot be read may be another one.
+        let is_first = read_frame(&DiskStorage, &frame_file(folder, robot)).is_ok_and(|number| number == 0);
+        *start = start.filter(|_| is_first);
+    }
 }
 
 /// Returns the folder of a run's own sessions.
@@ -179,16 +208,18 @@ fn warn_of_other_robots(folder: &Path, missing: &[RobotId], robots: usize) {
 }
 
 /// Returns the pose of each robot's map in the fleet's map. Of robots that begin with a session it is the saved one, if
-/// there is one; of the others it is that of `otherwise`.
+/// there is one and the map is still in the frame of then; of the others it is that of `otherwise`.
 pub fn known_starts(
     config: &FleetConfig,
     mut otherwise: Vec<Option<Pose2>>,
 ) -> Result<Vec<Option<Pose2>>, SessionsError> {
     let Some(folder) = config.sessions.folder() else { return Ok(otherwise) };
     let kept = read_starts(&folder.join(STARTS))?;
-    for (robot, start) in RobotId::first(config.fleet.robots).zip(&mut otherwise) {
+    let mut saved: Vec<_> = RobotId::first(config.fleet.robots).map(|robot| start_of(&kept, robot)).collect();
+    forget_other_frames(folder, &mut saved);
+    for ((robot, start), saved) in RobotId::first(config.fleet.robots).zip(&mut otherwise).zip(saved) {
         if begins_with_map(config, folder, robot) {
-            *start = start_of(&kept, robot);
+            *start = saved;
         }
     }
     Ok(otherwise)
@@ -237,7 +268,8 @@ pub fn have_own_frame(folder: &Path) -> bool {
 ///
 /// Sessions that an earlier run left there are renamed, and stay until the next run in the folder: this run would overwrite them, or
 /// a fleet that begins with the folder would take them for maps of this run. Those of this fleet's robots stay as they are if it
-/// begins with (`begin_with`) this very folder.
+/// begins with (`begin_with`) this very folder. Every map of the new run is in the frame in which its robot begins: that one of another
+/// frame was loaded before, `known` has taken into account ([`known_starts`]).
 pub fn create_folder(
     folder: &Path,
     known: &[Option<Pose2>],
@@ -245,7 +277,9 @@ pub fn create_folder(
     is_own_frame: bool,
 ) -> Result<(), SessionsError> {
     set_aside(folder, if is_continued(folder, begin_with) { known.len() } else { 0 })?;
-    write_starts(folder, known, is_own_frame)
+    write_starts(folder, known, is_own_frame)?;
+    // After the starts: if this run ends in between, the start of such a map is still unknown.
+    remove_all(RobotId::first(ROBOTS_MAX).map(|robot| frame_file(folder, robot)))
 }
 
 /// Returns whether a run begins with (`begin_with`) its own folder for sessions: those of the run before are there until it saves its own.
@@ -283,18 +317,23 @@ pub fn write_starts(folder: &Path, known: &[Option<Pose2>], is_own_frame: bool) 
         .map_err(|source| SessionsError::StartsFile { file: path.clone(), source })
 }
 
+/// Removes files, if they are there.
+fn remove_all(files: impl Iterator<Item = PathBuf>) -> Result<(), SessionsError> {
+    for file in files {
+        DiskStorage.remove(&file).map_err(|source| SessionsError::StartsFile { file, source })?;
+    }
+    Ok(())
+}
+
 /// Renames what an earlier run left of all robots but the first ones, which are `continued`.
 fn set_aside(folder: &Path, continued: usize) -> Result<(), SessionsError> {
     let starts = (continued == 0).then(|| folder.join(STARTS));
     let of_robot = |robot| {
         let session = file(folder, robot);
         let logs = session_records::all_files(&session);
-        std::iter::once(session).chain(logs)
+        std::iter::once(session).chain(logs).chain([frame_file(folder, robot)])
     };
-    for robot in RobotId::first(ROBOTS_MAX) {
-        let paused = pause_marker(folder, robot);
-        DiskStorage.remove(&paused).map_err(|source| SessionsError::StartsFile { file: paused, source })?;
-    }
+    remove_all(RobotId::first(ROBOTS_MAX).map(|robot| pause_marker(folder, robot)))?;
     for robot in RobotId::first(continued) {
         session_records::keep_for_next_run(&file(folder, robot))
             .map_err(|(file, source)| SessionsError::StartsFile { file, source })?;

@@ -1,13 +1,15 @@
 //! Names, types and encodings of SLAM's services in ROS.
 //!
 //! Names and types are SLAM Toolbox's where it has the service (slam_toolbox 2.8, Jazzy), otherwise std_srvs'. All names
-//! lie under `/robotN/`. Files are written below the run's folder: a name from the network must not lead out of it.
+//! lie under `/robotN/`. Files are written below `saved/` in the run's folder: a name from the network must not lead out of it.
 
-use msg::{InitialPoseKind, Pose2, RobotId, SlamMode, SlamRequest, SlamRequestKind, SlamResponse, Text};
+use msg::{
+    FileNameError, InitialPoseKind, Pose2, RobotId, SlamMode, SlamRequest, SlamRequestKind, SlamResponse,
+    Text, check_relative_file_name,
+};
 use ros_messages::RobotNames;
 use ros_messages::cdr::{DecodeError, Dialect, Reader, Writer};
 use std::collections::BTreeMap;
-use std::path::{Component, Path};
 use thiserror::Error;
 
 /// What a service does.
@@ -71,12 +73,9 @@ pub enum RequestError {
     /// The payload is not the service's request.
     #[error(transparent)]
     Payload(#[from] DecodeError),
-    /// The file's name leads out of the run's folder.
-    #[error("'{name}' is not a name below the run's folder; expected one like `monday` or `maps/monday`")]
-    FileName {
-        /// The name in the request.
-        name: String,
-    },
+    /// The file's name is none, or leads out of the folder for saved files.
+    #[error(transparent)]
+    FileName(#[from] FileNameError),
     /// The file's name does not fit into a message.
     #[error("'{name}' is too long for a file's name")]
     LongFileName {
@@ -110,12 +109,9 @@ fn request(kind: SlamRequestKind) -> SlamRequest {
     SlamRequest { kind: kind as u32, ..SlamRequest::default() }
 }
 
-/// Checks that a name lies below the run's folder.
+/// Checks that a name lies below the folder for saved files.
 fn file_name(name: &str) -> Result<Text, RequestError> {
-    let is_below = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-    if name.is_empty() || !is_below || name.contains(char::is_control) {
-        return Err(RequestError::FileName { name: name.to_owned() });
-    }
+    check_relative_file_name(name)?;
     Text::new(name).ok_or_else(|| RequestError::LongFileName { name: name.to_owned() })
 }
 
@@ -265,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_outside_the_runs_folder_is_refused() {
+    fn a_name_that_leads_out_of_the_folder_for_saved_files_is_refused() {
         for name in ["", "/etc/passwd", "../up", "a/../../b", "./a", "a\n"] {
             assert!(read(Service::SaveMap, &encoded(|to| to.string(name))).is_err(), "{name}");
         }

@@ -29,6 +29,7 @@ mod battery;
 mod bounded_text;
 mod edges;
 mod exploration;
+mod file_name;
 mod health;
 mod id;
 mod motion;
@@ -58,6 +59,7 @@ pub use exploration::{
     ExplorationAction, ExplorationCommand, ExplorationLeftover, ExplorationReport, ExplorationStatus,
     ExplorerState, LEFTOVERS_MAX, LeftoverReason,
 };
+pub use file_name::{FileNameError, check_file_name, check_relative_file_name};
 pub use grid::{Grid, GridHeader, GridView};
 pub use health::{ProcessHealth, Role};
 pub use id::{ROBOTS_MAX, RobotId};

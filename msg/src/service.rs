@@ -93,9 +93,9 @@ pub enum SlamRequestKind {
     Resume = 2,
     /// Deletes the map. A new one starts at the robot's pose, in the same frame.
     Reset = 3,
-    /// Writes the map to `text`.pgm, .yaml and .png.
+    /// Writes the map to `text`.pgm, .yaml and .png. A relative `text` is below `saved/` in the run's folder.
     SaveMap = 4,
-    /// Writes the session file `text`.
+    /// Writes the session file `text`.slam. A relative `text` is below `saved/` in the run's folder.
     SaveSession = 5,
     /// Loads the session file `text`, or the map `text` if it ends in .yaml (localization only). `mode` is
     /// the mode to continue in, `initial_pose_kind` the robot's pose.

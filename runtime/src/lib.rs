@@ -31,6 +31,7 @@ pub mod other_fleets;
 pub mod realtime;
 pub mod recording_files;
 pub mod runtime_folder;
+pub mod saved_files;
 pub mod spare_time;
 pub mod stop;
 pub mod time_slice;

@@ -55,7 +55,7 @@ pub enum SlamAction {
     Resume,
     /// Delete the map and begin a new one where the robot is
     Reset,
-    /// Save the session in a file (.slam is added to a name without extension)
+    /// Save the session in a file (.slam is added unless the name ends with it)
     Save {
         /// File, relative to the current folder
         #[arg(value_name = "FILE")]
@@ -63,7 +63,7 @@ pub enum SlamAction {
     },
     /// Load a session, or with --localize a map (.yaml), and relocalize the robot in it
     Load {
-        /// File, relative to the current folder
+        /// File, relative to the current folder; .slam may be left out
         #[arg(value_name = "FILE")]
         file: PathBuf,
         /// Leave the map unchanged

@@ -18,6 +18,58 @@ fn places_of_maps_come_back() {
     assert_eq!(known_starts(&config, elsewhere).unwrap(), known);
 }
 
+/// A folder in which a map of another frame was loaded into robot 2, and of whose frame robot 3's file says nothing that can be read.
+fn with_other_frames(folder: &Path) -> Vec<Option<Pose2>> {
+    let known = vec![Some(Pose2::new(1.0, 2.0, 0.5)); 3];
+    create_folder(folder, &known, None, false).unwrap();
+    for robot in RobotId::first(3) {
+        std::fs::write(file(folder, robot), "").unwrap();
+    }
+    let [first, second, third] = [1, 2, 3].map(|number| frame_file(folder, RobotId::new(number).unwrap()));
+    std::fs::write(first, "0").unwrap();
+    std::fs::write(second, "1").unwrap();
+    std::fs::write(third, "?").unwrap();
+    known
+}
+
+#[test]
+fn the_start_of_a_robot_that_loaded_a_map_of_another_frame_is_unknown() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = Run::in_memory(FleetConfig::default()).unwrap();
+    run.dir = folder.path().into();
+    let sessions = super::folder(&run);
+    let known = with_other_frames(&sessions);
+    let expected = [known[0], None, None];
+    run.config.sessions.begin_with.clone_from(&sessions);
+    assert_eq!(known_starts(&run.config, vec![None; 3]).unwrap(), expected);
+    // Merging that is started again knows no more.
+    assert_eq!(crate::fleet::known_starts_of_run(&run).unwrap()[..3], expected);
+}
+
+#[test]
+fn a_run_in_the_folder_of_another_begins_in_the_first_frame_and_not_with_a_wrong_start() {
+    for is_continued in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        with_other_frames(folder.path());
+        let mut config = FleetConfig::default();
+        config.sessions.begin_with = folder.path().into();
+        let known = known_starts(&config, vec![None; 3]).unwrap();
+        create_folder(folder.path(), &known, Some(folder.path()).filter(|_| is_continued), false).unwrap();
+        for robot in RobotId::first(3) {
+            let frame = frame_file(folder.path(), robot);
+            assert_eq!(read_frame(&DiskStorage, &frame).unwrap(), 0, "{robot}");
+            let earlier = frame.with_extension("frame.earlier");
+            assert_ne!(
+                earlier.exists(),
+                is_continued,
+                "the number stays beside the session that was renamed"
+            );
+        }
+        let kept = read_starts(&folder.path().join(STARTS)).unwrap();
+        assert_eq!(kept.keys().collect::<Vec<_>>(), ["robot1"]);
+    }
+}
+
 #[test]
 fn the_frame_of_maps_of_robots_that_started_anywhere_is_their_own_until_another_run_is_saved_there() {
     let folder = tempfile::tempdir().unwrap();

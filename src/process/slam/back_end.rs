@@ -353,7 +353,11 @@ impl WorkerState {
     /// Starts a save on the file worker.
     pub fn save(&mut self, state: &FrontEndState) {
         let session = self.session_after_log(state);
-        if !self.submit_file_job(None, self.autosave.path.clone(), FileOperation::Save(session)) {
+        if !self.submit_file_job(
+            None,
+            self.autosave.path.clone(),
+            FileOperation::Save(session, self.frame.to_save()),
+        ) {
             self.log.finish_session(false);
             self.autosave.postpone(self.now);
         }
@@ -370,7 +374,7 @@ impl WorkerState {
     fn end(&mut self, number: u32, state: &FrontEndState) {
         let same_front = number == self.front_number;
         if self.autosave.is_wanted_at_end() && same_front {
-            let work = FileOperation::Save(self.session_after_log(state));
+            let work = FileOperation::Save(self.session_after_log(state), self.frame.to_save());
             // The running save must end first, or the older session would replace the newer one.
             self.jobs.submit_last(SlamFileJob { request: None, path: self.autosave.path.clone(), work });
         }

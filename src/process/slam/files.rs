@@ -31,8 +31,8 @@ pub struct SlamFileJob {
 
 /// Operation on a file.
 pub enum FileOperation {
-    /// Write a session.
-    Save(Box<Session>),
+    /// Write a session; before it the number of its map's frame, if its file must have one.
+    Save(Box<Session>, Option<MapFrame>),
     /// Write bytes at a place in a log, and cut off what follows.
     Append {
         /// Offset in the file, bytes.
@@ -51,8 +51,17 @@ pub enum FileOperation {
         /// Why it is unreliable; empty if it is not.
         reasons: Vec<&'static str>,
     },
-    /// Read a session or a map for this robot, whose map has this frame now.
-    Load(SessionIdentity, SlamMode, MapFrame),
+    /// Read a session or a map.
+    Load {
+        /// The places at which it may be, in the order in which they are looked at; at least one.
+        files: Vec<PathBuf>,
+        /// The robot for which it is read.
+        session: SessionIdentity,
+        /// The mode in which it is used.
+        mode: SlamMode,
+        /// The frame that the robot's map has now.
+        frame: MapFrame,
+    },
 }
 
 /// Outcome of a job.
@@ -133,17 +142,14 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
         }
     }
 
-    fn perform(&mut self, SlamFileJob { request, path, work }: SlamFileJob) -> FileJobOutcome {
+    fn perform(&mut self, SlamFileJob { request, mut path, work }: SlamFileJob) -> FileJobOutcome {
         let begun = self.clock.now();
         let appended_at = if let FileOperation::Append { at, .. } = &work { Some(*at) } else { None };
         let written = |result: std::io::Result<()>| {
             result.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
         };
         let result = match work {
-            FileOperation::Save(session) => match session.encode() {
-                Ok(bytes) => written(self.storage.write(&path, &bytes)),
-                Err(why) => Err(SessionFileError::Content { file: path.clone(), why }.into()),
-            },
+            FileOperation::Save(session, frame) => self.save(&path, &session, frame.as_ref()).map(|()| None),
             FileOperation::Append { at, bytes } => written(self.storage.append(&path, at, &bytes)),
             FileOperation::Replace(bytes) => written(self.storage.replace(&path, &bytes)),
             FileOperation::Remove => written(self.storage.remove(&path)),
@@ -152,9 +158,12 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
                 .write_map(&path, grid.view(), &reasons)
                 .map(|()| None)
                 .map_err(FileJobError::from),
-            FileOperation::Load(identity, mode, frame) => {
+            FileOperation::Load { files, session, mode, frame } => {
                 let request = request.as_deref().copied().unwrap_or_default();
-                self.load(&path, &identity, (mode, &frame), &request).map(|loaded| Some(Box::new(loaded)))
+                self.load_first(files, &session, (mode, &frame), &request).map(|(used, loaded)| {
+                    path = used;
+                    Some(Box::new(loaded))
+                })
             }
         };
         match &result {
@@ -167,6 +176,37 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
         }
         let took = Duration::from_nanos(self.clock.now().since(begun));
         FileJobOutcome { request, path, result, took, appended_at }
+    }
+
+    /// Writes the number of the map's frame, then the session: a session of another frame is never without its number.
+    fn save(&self, path: &Path, session: &Session, frame: Option<&MapFrame>) -> Result<(), FileJobError> {
+        let invalid = |why| SessionFileError::Content { file: path.to_owned(), why };
+        let bytes = session.encode().map_err(invalid)?;
+        let fail = |path: &Path| {
+            let path = path.to_owned();
+            |source| FileJobError::Write { path, source }
+        };
+        if let Some(frame) = frame {
+            frame.write(&self.storage).map_err(fail(frame.file()))?;
+        }
+        self.storage.write(path, &bytes).map_err(fail(path))
+    }
+
+    /// Reads the first of the files that is there.
+    fn load_first(
+        &self,
+        files: Vec<PathBuf>,
+        identity: &SessionIdentity,
+        frame: (SlamMode, &MapFrame),
+        request: &SlamRequest,
+    ) -> Result<(PathBuf, Loaded), FileJobError> {
+        for path in &files {
+            match self.load(path, identity, frame, request) {
+                Err(why) if why.is_missing() => {}
+                result => return result.map(|loaded| (path.clone(), loaded)),
+            }
+        }
+        Err(FileJobError::NoneToLoad(files))
     }
 
     fn load(
@@ -210,12 +250,6 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
             (false, false) => OTHER_FRAME,
             (false, true) => "",
         };
-        // Before the session is saved: a process that is started again in between has another frame than before, at worst once more.
-        if frame.number != before
-            && let Err(why) = frame.write(&self.storage)
-        {
-            tracing::warn!("slam: the number of the map's frame is not saved: {why}");
-        }
         let (front, back) = ::slam::create_or_resume(self.config.clone(), Some(session), mode, start);
         Ok(Loaded { front, back, frame, note })
     }

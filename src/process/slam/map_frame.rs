@@ -6,11 +6,8 @@ use crate::run::Run;
 use crate::sessions;
 use crate::storage::Storage;
 use msg::RobotId;
-use std::io::{self, ErrorKind};
-use std::path::PathBuf;
-
-/// Largest length of the file, bytes.
-const BYTES_MAX: u64 = 16;
+use std::io;
+use std::path::{Path, PathBuf};
 
 /// Number of a map frame, and the file that keeps it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -21,9 +18,9 @@ pub struct MapFrame {
 }
 
 impl MapFrame {
-    /// Reads the number of a robot's frame. One that cannot be read is another one than all before: merging looks for the map's place.
+    /// Reads the number of a robot's frame, of the session that is saved. One that cannot be read is another one than all before: merging looks for the map's place.
     pub fn read(storage: &impl Storage, run: &Run, robot: RobotId, clock: &impl Clock) -> Self {
-        let file = sessions::folder(run).join(format!("{robot}.frame"));
+        let file = sessions::frame_file(&sessions::folder(run), robot);
         let unknown = |why: &dyn std::fmt::Display| {
             tracing::warn!(
                 "slam of {robot}: {}: {why}; merging looks for the place of its map",
@@ -32,14 +29,7 @@ impl MapFrame {
             // Counted numbers are small.
             clock.now().0 as u32 | 1 << 31
         };
-        let number = match storage.read(&file, BYTES_MAX) {
-            Ok(bytes) => match std::str::from_utf8(&bytes).map(|text| text.trim().parse()) {
-                Ok(Ok(number)) => number,
-                _ => unknown(&"is no number"),
-            },
-            Err(why) if why.kind() == ErrorKind::NotFound => 0,
-            Err(why) => unknown(&why),
-        };
+        let number = sessions::read_frame(storage, &file).unwrap_or_else(|why| unknown(&why));
         Self { number, file }
     }
 
@@ -53,12 +43,22 @@ impl MapFrame {
         Self { number, file: self.file.clone() }
     }
 
-    /// Writes the number to its file.
+    /// Returns the frame if its number must be saved with the session: it is not the one in which the robot began.
+    pub fn to_save(&self) -> Option<Self> {
+        (self.number != 0).then(|| self.clone())
+    }
+
+    /// Returns the path of the file that keeps the number.
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// Writes the number to its file, durably as the session that follows it.
     ///
     /// # Errors
-    /// The file cannot be written: a restarted process has the number of before, and merging looks for the map's place once more.
+    /// The file cannot be written: the session must not be saved either.
     pub fn write(&self, storage: &impl Storage) -> io::Result<()> {
-        storage.replace(&self.file, self.number.to_string().as_bytes())
+        storage.write(&self.file, self.number.to_string().as_bytes())
     }
 }
 

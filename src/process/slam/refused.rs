@@ -1,7 +1,8 @@
 //! Reasons why a request to SLAM, or a job on a file, is refused.
 
-use crate::session_file::SessionFileError;
+use crate::session_file::{self, SessionFileError};
 use formats::map_file::MapFileError;
+use msg::FileNameError;
 use std::path::PathBuf;
 
 /// Reason why a request is refused. Its text is the answer to the client.
@@ -53,12 +54,9 @@ pub enum RequestRefused {
         /// Number of closures in the graph.
         count: usize,
     },
-    /// The text of the request is no file name.
-    #[error("'{}' names no file", .0.escape_debug())]
-    NoFileName(String),
-    /// A relative path has components such as `..`.
-    #[error("'{0}' leads out of the run's folder")]
-    OutsideRun(String),
+    /// The text of the request is no file name, or leads out of the folder for saved files.
+    #[error(transparent)]
+    FileName(#[from] FileNameError),
     /// The job on the request's file failed.
     #[error(transparent)]
     File(#[from] FileJobError),
@@ -87,7 +85,24 @@ pub enum FileJobError {
         .0.display()
     )]
     MapIsNoSession(PathBuf),
+    /// There is no file at any of the places.
+    #[error("no session or map of that name: there is no {}", .0.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(" and no "))]
+    NoneToLoad(Vec<PathBuf>),
     /// A session without nodes.
     #[error("{} has no map in it", .0.display())]
     EmptySession(PathBuf),
+}
+
+impl FileJobError {
+    /// Returns whether the reason is that there is no such file.
+    pub fn is_missing(&self) -> bool {
+        match self {
+            Self::Session(why) => why.is_missing(),
+            // A map whose image is missing is there.
+            Self::Map(MapFileError::Io { file, source }) => {
+                source.kind() == std::io::ErrorKind::NotFound && session_file::is_map(file)
+            }
+            _ => false,
+        }
+    }
 }

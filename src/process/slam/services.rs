@@ -10,21 +10,19 @@ use super::refused::RequestRefused;
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
+use crate::saved_files;
 use crate::sessions::TOLD_SIGMA;
 use ::slam::{ClosureReport, FrontEndState, InitialPose, LocalFrameEstimate};
-use formats::map_file;
 use msg::{
     CLOSURES_MAX, ClosureInfo, InitialPoseKind, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest,
     SlamRequestKind, SlamResponse, Text,
 };
-use std::path::{Component, Path, PathBuf};
+use std::path::PathBuf;
 
 /// Largest number of requests answered in one step, so that other work is not delayed.
 const REQUESTS_MAX: usize = 16;
 /// Requests that may wait for the scan path's state.
 const PENDING_MAX: usize = 16;
-/// Extension that a session file gets if its name has none.
-const SESSION_ENDING: &str = "slam";
 
 /// Operation that waits for the scan path's state.
 pub enum PendingRequest {
@@ -114,7 +112,7 @@ impl<P: Ports> Services<P> {
             SlamRequestKind::SaveMap => self.save_map(request, state),
             SlamRequestKind::SaveSession => {
                 has_map(state)?;
-                let path = self.session_path(request)?;
+                let path = saved_files::session_to_save(&self.dir, request.text.as_str())?;
                 defer_until_state(state, PendingRequest::Save(Box::new(*request), path))
             }
             SlamRequestKind::LoadSession => self.load_session(request, state),
@@ -164,7 +162,7 @@ impl<P: Ports> Services<P> {
 
     fn save_map(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
         has_map(state)?;
-        let stem = map_file::stem(&file_path(&self.dir, request.text.as_str(), None)?);
+        let stem = saved_files::map_to_save(&self.dir, request.text.as_str())?;
         let grid = state.back.map().to_owned();
         let reasons = state.back.reliability_evidence().reasons().collect();
         self.submit(state, request, stem, FileOperation::Draw { grid, reasons })
@@ -175,9 +173,14 @@ impl<P: Ports> Services<P> {
         if InitialPoseKind::from_code(request.initial_pose_kind) == Some(InitialPoseKind::Given) {
             pose_of(request)?;
         }
-        let path = self.session_path(request)?;
-        let given =
-            self.submit(state, request, path, FileOperation::Load(state.identity, mode, state.frame.clone()));
+        let mut files = saved_files::files_to_load(&self.dir, request.text.as_str())?;
+        let work = FileOperation::Load {
+            files: files.clone(),
+            session: state.identity,
+            mode,
+            frame: state.frame.clone(),
+        };
+        let given = self.submit(state, request, files.swap_remove(0), work);
         self.loading = given.is_ok();
         given
     }
@@ -209,7 +212,7 @@ impl<P: Ports> Services<P> {
             PendingRequest::LogRecord => state.write_log(front),
             PendingRequest::Save(request, path) => {
                 let session = Box::new(state.session(front));
-                let outcome = self.submit(state, &request, path, FileOperation::Save(session));
+                let outcome = self.submit(state, &request, path, FileOperation::Save(session, None));
                 self.respond(&request, outcome, state);
             }
             PendingRequest::SetPose(request) => {
@@ -257,10 +260,6 @@ impl<P: Ports> Services<P> {
         });
         let outcome = outcome.map_err(RequestRefused::File);
         self.respond(&request, outcome, state);
-    }
-
-    fn session_path(&self, request: &SlamRequest) -> Result<PathBuf, RequestRefused> {
-        file_path(&self.dir, request.text.as_str(), Some(SESSION_ENDING))
     }
 
     /// Answers a request; of one that changes the map, when the session with the change is saved.
@@ -315,23 +314,6 @@ impl<P: Ports> Services<P> {
         }
         self.responses.send(&answer);
     }
-}
-
-/// Returns the path of a request's file: relative names lie below the run's folder.
-fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, RequestRefused> {
-    let named = Path::new(name);
-    if named.file_name().is_none() || name.contains(char::is_control) {
-        return Err(RequestRefused::NoFileName(name.to_owned()));
-    }
-    let inside = named.components().all(|part| matches!(part, Component::Normal(_)));
-    if !named.is_absolute() && !inside {
-        return Err(RequestRefused::OutsideRun(name.to_owned()));
-    }
-    let mut path = dir.join(named);
-    if let (Some(ending), None) = (ending, path.extension()) {
-        path.set_extension(ending);
-    }
-    Ok(path)
 }
 
 fn defer_until_state(state: &mut WorkerState, pending: PendingRequest) -> RequestResult {

@@ -1,4 +1,4 @@
-//! Tests of the names of files, and of answers while the disk does not answer.
+//! Tests of files that are saved and loaded, and of answers while the disk does not answer.
 
 use super::*;
 use crate::channel::Opener;
@@ -9,38 +9,12 @@ use crate::lockstep::queues::{MemoryPorts, Network, QueueReader, QueueWriter};
 use crate::ports::Clock;
 use crate::process::ProcessLoop;
 use crate::process::slam::SlamProcess;
+use crate::sessions;
 use crate::storage::Storage;
 use ::slam::{Session, SessionIdentity};
 use msg::{Grid, Monotonic, Role, SubmapPoses};
-use proptest::prelude::*;
+use std::path::Path;
 use std::rc::Rc;
-
-#[test]
-fn files_lie_where_they_are_said_to() {
-    let dir = Path::new("/run");
-    let path = |name| file_path(dir, name, Some("slam")).map(|path| path.display().to_string());
-    assert_eq!(path("monday").unwrap(), "/run/monday.slam");
-    assert_eq!(path("maps/monday.yaml").unwrap(), "/run/maps/monday.yaml");
-    assert_eq!(path("/elsewhere/a.slam").unwrap(), "/elsewhere/a.slam");
-    for (name, reason) in
-        [("../a", "leads out"), ("a/../../b", "leads out"), ("", "no file"), ("a\n", "no file")]
-    {
-        assert!(path(name).unwrap_err().to_string().contains(reason), "{name}");
-    }
-}
-
-proptest! {
-    #[test]
-    fn no_relative_name_leads_out(name in "[a./\\\\-]{0,12}") {
-        let dir = Path::new("/run");
-        if let Ok(path) = file_path(dir, &name, None)
-            && !name.starts_with('/')
-        {
-            prop_assert!(path.starts_with(dir) && path != dir);
-            prop_assert!(!path.components().any(|part| part == Component::ParentDir));
-        }
-    }
-}
 
 /// A SLAM process without scans, and a bridge that asks it. Its disk is full when the faults say so, and answers if it is to.
 struct Asked {
@@ -151,21 +125,22 @@ fn a_disk_that_does_not_answer_is_told_within_seconds_and_each_request_has_one_a
     assert_eq!(asked.ask(SlamRequestKind::Reset, "").0.outcome(), SlamOutcome::Done);
 }
 
-#[test]
-fn merging_is_told_that_a_loaded_map_has_another_frame() {
-    let mut asked = Asked::new(FaultPlan::none());
+/// Writes a session of robot 1 with a small map, saved in a run of this number.
+fn save(asked: &Asked, name: &str, run: u64) {
     let side = 80;
     let header = msg::GridHeader { width: side, height: side, resolution_m: 0.05, ..Default::default() };
     let is_wall = |cell: u32| [cell % side, cell / side].iter().any(|at| [0, side - 1].contains(at));
     let cells = (0..side * side).map(|cell| if is_wall(cell) { 100 } else { -100 }).collect();
     let grid = Grid { header, cells };
     let config = Run::in_memory(FleetConfig::default()).unwrap().config.slam.clone();
-    let save = |asked: &Asked, name: &str, run: u64| {
-        let identity = SessionIdentity::new(1, run, &config);
-        let session = Session::from_grid(identity, grid.view(), &config);
-        let path = Path::new("lockstep").join(name);
-        asked.storage.write(&path, &session.encode().unwrap()).unwrap();
-    };
+    let session = Session::from_grid(SessionIdentity::new(1, run, &config), grid.view(), &config);
+    let path = Path::new("lockstep").join(name);
+    asked.storage.write(&path, &session.encode().unwrap()).unwrap();
+}
+
+#[test]
+fn merging_is_told_that_a_loaded_map_has_another_frame() {
+    let mut asked = Asked::new(FaultPlan::none());
     // The run in memory has number 0.
     save(&asked, "own.slam", 0);
     save(&asked, "other.slam", 7);
@@ -181,4 +156,55 @@ fn merging_is_told_that_a_loaded_map_has_another_frame() {
     // It may have been saved after the other one was loaded.
     let (again, is_reported) = load("own");
     assert!(again != first && again != 0 && is_reported);
+}
+
+fn saved_frame(asked: &Asked) -> u32 {
+    sessions::read_frame(&asked.storage, Path::new("lockstep/sessions/robot1.frame")).unwrap()
+}
+
+#[test]
+fn the_number_of_a_frame_is_saved_with_the_session_of_that_frame_and_not_for_a_load_that_is_not_used() {
+    let mut asked = Asked::new(FaultPlan::none());
+    save(&asked, "other.slam", 7);
+    asked.does_disk_answer = false;
+    let (response, _) = asked.ask(SlamRequestKind::LoadSession, "other");
+    assert_eq!(response.outcome(), SlamOutcome::Refused, "{}", response.text.as_str());
+    asked.does_disk_answer = true;
+    asked.wait(20);
+    assert_eq!((saved_frame(&asked), asked.poses.newest().map_or(0, |poses| poses.run)), (0, 0));
+    let (response, _) = asked.ask(SlamRequestKind::LoadSession, "other");
+    assert_eq!(response.outcome(), SlamOutcome::Done, "{}", response.text.as_str());
+    assert_eq!((saved_frame(&asked), asked.poses.newest().map(|poses| poses.run)), (1, Some(1)));
+}
+
+#[test]
+fn what_a_client_saves_replaces_no_file_of_the_run_and_is_found_by_its_name() {
+    let mut asked = Asked::new(FaultPlan::none());
+    save(&asked, "sessions/robot2.slam", 7);
+    let read = |asked: &Asked, path: &str| asked.storage.read(Path::new(path), u64::MAX);
+    let before = read(&asked, "lockstep/sessions/robot2.slam").unwrap();
+    let mut load = |name: &str| {
+        let (response, _) = asked.ask(SlamRequestKind::LoadSession, name);
+        (response.outcome(), response.text.as_str().to_owned())
+    };
+    let (outcome, text) = load("nothing");
+    assert_eq!(outcome, SlamOutcome::Refused);
+    for place in ["lockstep/saved/nothing.slam", "lockstep/nothing.slam"] {
+        assert!(text.contains(place), "{text}");
+    }
+    let (outcome, text) = load("sessions/robot2");
+    assert!(outcome == SlamOutcome::Done && text.contains("lockstep/sessions/robot2.slam"), "{text}");
+    for name in ["accepted-room.json", "sessions/robot2.slam", "run.json", "monday"] {
+        let (response, _) = asked.ask(SlamRequestKind::SaveSession, name);
+        let text = response.text.as_str().to_owned();
+        assert_eq!(response.outcome(), SlamOutcome::Done, "{text}");
+        assert!(text.starts_with("lockstep/saved/") && text.ends_with(".slam"), "{text}");
+        assert!(read(&asked, &text).is_ok(), "{text}");
+        let (response, _) = asked.ask(SlamRequestKind::LoadSession, name);
+        assert!(response.text.as_str().starts_with(&text), "{} was saved", response.text.as_str());
+    }
+    for own in ["accepted-room.json", "run.json"] {
+        assert!(read(&asked, &format!("lockstep/{own}")).is_err(), "{own}");
+    }
+    assert_eq!(read(&asked, "lockstep/sessions/robot2.slam").unwrap(), before);
 }
