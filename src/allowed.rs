@@ -5,13 +5,12 @@
 
 use crate::run::Run;
 use crate::storage::Storage;
+use ::bridge::ADDRESSES_MAX;
 use std::io;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
-/// Largest number of addresses; the oldest is dropped first.
-const ADDRESSES_MAX: usize = 256;
-/// Largest part of the file that is read, bytes.
+/// Largest file that is read, bytes: more than [`ADDRESSES_MAX`] addresses need.
 const BYTES_MAX: u64 = 64 << 10;
 
 /// Returns the path of the file.
@@ -39,8 +38,7 @@ pub fn read(storage: &impl Storage, path: &Path) -> io::Result<(Vec<IpAddr>, Vec
     for line in text.lines() {
         let word = line.split('#').next().unwrap_or_default().trim();
         match bridge::parse_peer_address(word) {
-            Ok(address) if addresses.len() < ADDRESSES_MAX => addresses.push(address),
-            Ok(_) => {}
+            Ok(address) => addresses.push(address),
             Err(_) if word.is_empty() => {}
             Err(_) => unsound.push(line.to_owned()),
         }
@@ -49,18 +47,25 @@ pub fn read(storage: &impl Storage, path: &Path) -> io::Result<(Vec<IpAddr>, Vec
 }
 
 /// Adds an address to the file or removes it, atomically.
-pub fn remember(storage: &impl Storage, path: &Path, address: IpAddr, may_drive: bool) -> io::Result<()> {
+///
+/// # Errors
+/// The file cannot be read or written, or has as many addresses as it may: none is dropped for another one.
+pub fn remember(storage: &impl Storage, path: &Path, address: IpAddr, is_listed: bool) -> io::Result<()> {
     let address = address.to_canonical();
     let (mut addresses, _) = read(storage, path)?;
     addresses.retain(|known| *known != address);
-    if may_drive {
+    if is_listed {
+        if addresses.len() >= ADDRESSES_MAX {
+            return Err(io::Error::other(format!(
+                "has {ADDRESSES_MAX} addresses, the limit, and {address} is not added: delete lines that are not needed any more"
+            )));
+        }
         addresses.push(address);
     }
-    let surplus = addresses.len().saturating_sub(ADDRESSES_MAX);
     let mut text = String::from(
         "# Addresses that may drive a fleet on this machine; see `mr-slam allow` and `mr-slam deny`.\n",
     );
-    for address in addresses.drain(surplus..) {
+    for address in addresses {
         text += &format!("{address}\n");
     }
     storage.replace(path, text.as_bytes())
@@ -72,18 +77,27 @@ mod tests {
     use crate::storage::DiskStorage;
 
     #[test]
-    fn the_newest_addresses_are_kept_and_the_file_may_be_edited() {
+    fn a_full_file_keeps_its_addresses_and_the_file_may_be_edited() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("deep/allowed");
         assert_eq!(read(&DiskStorage, &path).unwrap().0, Vec::<IpAddr>::new());
         let address = |i: usize| IpAddr::from([10, 0, (i / 256) as u8, (i % 256) as u8]);
-        (0..ADDRESSES_MAX + 10).for_each(|i| remember(&DiskStorage, &path, address(i), true).unwrap());
+        let lines: String = (0..ADDRESSES_MAX).map(|i| format!("{}\n", address(i))).collect();
+        DiskStorage.replace(&path, lines.as_bytes()).unwrap();
+        let more = address(ADDRESSES_MAX);
+        let error = remember(&DiskStorage, &path, more, true).unwrap_err().to_string();
+        assert!(
+            error.contains("1024 addresses, the limit") && error.contains("10.0.4.0 is not added"),
+            "{error}"
+        );
         remember(&DiskStorage, &path, address(20), true).unwrap();
+        assert_eq!(read(&DiskStorage, &path).unwrap().0.len(), ADDRESSES_MAX);
         remember(&DiskStorage, &path, address(30), false).unwrap();
         remember(&DiskStorage, &path, "::ffff:10.0.0.40".parse().unwrap(), false).unwrap();
+        remember(&DiskStorage, &path, more, true).unwrap();
         let (addresses, _) = read(&DiskStorage, &path).unwrap();
-        assert_eq!(addresses.len(), ADDRESSES_MAX - 2);
-        assert_eq!((addresses[0], *addresses.last().unwrap()), (address(10), address(20)));
+        assert_eq!(addresses.len(), ADDRESSES_MAX - 1);
+        assert_eq!((addresses[0], *addresses.last().unwrap()), (address(0), more));
         assert!(!addresses.contains(&address(30)) && !addresses.contains(&address(40)));
 
         std::fs::write(&path, "# the lab's\n192.168.1.7  # Ana's headset\nnonsense\n\n").unwrap();

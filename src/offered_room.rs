@@ -1,7 +1,7 @@
 //! The room that a headset offers as the simulators' world: its files in the run's folder, and the fleet in it.
 //!
-//! The bridge saves the offered room. The operator's tool `mr-slam room accept` checks and renames it, which tells the
-//! launcher to start the fleet again in this room.
+//! The bridge saves the offered room. The operator's tool `mr-slam room accept` checks it and writes what it has checked as the accepted
+//! room, which tells the launcher to start the fleet again in it. No client can write that file.
 
 use crate::config::FleetConfig;
 use crate::run::Run;
@@ -48,25 +48,46 @@ fn accepted_file(run: &Run) -> PathBuf {
     run.dir.join("accepted-room.json")
 }
 
+/// A room that was read and can be used.
+struct CheckedRoom {
+    /// The file as it was checked.
+    bytes: Vec<u8>,
+    /// Size along x and y, metres.
+    size_m: [f64; 2],
+}
+
 /// Checks the room that waits; returns its size along x and y, metres.
 pub fn check(run: &Run) -> Result<[f64; 2], OfferedRoomError> {
+    Ok(read(run)?.size_m)
+}
+
+fn read(run: &Run) -> Result<CheckedRoom, OfferedRoomError> {
     let path = file(run);
-    let room = match formats::limited::read(&path, ::bridge::ROOM_BYTES_MAX as u64) {
-        Ok(bytes) => Room::from_bytes("the headset's room", &bytes)?,
+    let bytes = match formats::limited::read(&path, ::bridge::ROOM_BYTES_MAX as u64) {
+        Ok(bytes) => bytes,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(OfferedRoomError::None),
         Err(source) => return Err(OfferedRoomError::File { path, source }),
     };
+    let room = Room::from_bytes("the headset's room", &bytes)?;
     room.starts(run.config.fleet.robots)?;
     let plan = room.floor_plan(PLAN_CELL_M).header;
-    Ok([plan.width, plan.height].map(|cells| f64::from(cells) * plan.resolution_m))
+    let size_m = [plan.width, plan.height].map(|cells| f64::from(cells) * plan.resolution_m);
+    Ok(CheckedRoom { bytes, size_m })
 }
 
 /// Accepts the room that waits: the launcher starts the fleet again in it.
 pub fn accept(run: &Run) -> Result<[f64; 2], OfferedRoomError> {
-    let size = check(run)?;
+    let room = read(run)?;
+    publish(run, &room)?;
+    Ok(room.size_m)
+}
+
+/// Writes the room as the accepted one. It is what was checked, also if another offer has replaced the file since.
+fn publish(run: &Run, room: &CheckedRoom) -> Result<(), OfferedRoomError> {
     let path = accepted_file(run);
-    fs::rename(file(run), &path).map_err(|source| OfferedRoomError::File { path, source })?;
-    Ok(size)
+    let offer = file(run);
+    DiskStorage.write(&path, &room.bytes).map_err(|source| OfferedRoomError::File { path, source })?;
+    DiskStorage.remove(&offer).map_err(|source| OfferedRoomError::File { path: offer, source })
 }
 
 /// Removes the room that waits.
@@ -123,6 +144,21 @@ mod tests {
         let config = fleet_in(&config, Path::new("/runs/a/accepted-room.json"));
         assert_eq!(config.fleet.room, "/runs/a/accepted-room.json");
         assert!(config.fleet.starts.is_empty() && config.fleet.starts_known);
+    }
+
+    #[test]
+    fn an_offer_that_comes_after_the_check_is_not_accepted() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = Run::in_memory(FleetConfig::default()).unwrap();
+        run.dir = folder.path().into();
+        assert!(matches!(accept(&run), Err(OfferedRoomError::None)));
+        let checked = CheckedRoom { bytes: b"checked".to_vec(), size_m: [1.0; 2] };
+        fs::write(file(&run), "no room").unwrap();
+        assert!(matches!(accept(&run), Err(OfferedRoomError::Room(_))));
+        assert!(accepted(&run).is_none() && file(&run).exists(), "it waits for an answer still");
+        publish(&run, &checked).unwrap();
+        assert_eq!(fs::read(accepted(&run).unwrap()).unwrap(), b"checked");
+        assert!(!file(&run).exists());
     }
 
     #[test]

@@ -9,8 +9,8 @@ use thiserror::Error;
 
 /// Addresses that may wait for permission at a time; further requests are not shown to the operator.
 const WAITING_MAX: usize = 32;
-/// Refused addresses that are remembered; the operator is asked about further ones again.
-const DENIED_MAX: usize = 1024;
+/// Largest number of addresses that are allowed, and of those that are denied. Each more is refused: none is forgotten for another one.
+pub const ADDRESSES_MAX: usize = 1024;
 
 /// What an address asks to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +21,10 @@ pub enum Action {
     Drive,
     /// Set the emergency stop.
     Stop,
+    /// Offer a room as the simulators' world.
+    OfferRoom,
+    /// Send an answer to the form of workload.
+    AnswerForm,
 }
 
 impl fmt::Display for Action {
@@ -29,6 +33,8 @@ impl fmt::Display for Action {
             Self::Watch => "watch",
             Self::Drive => "drive",
             Self::Stop => "set the emergency stop",
+            Self::OfferRoom => "offer a room",
+            Self::AnswerForm => "send an answer to the form",
         })
     }
 }
@@ -46,6 +52,16 @@ pub enum PermissionError {
         /// What it asked to do.
         action: Action,
     },
+    /// The list of those that wait is full.
+    #[error(
+        "{address} may not {action} yet, and {WAITING_MAX} addresses wait already: run `mr-slam allow {address}` at the laptop"
+    )]
+    NotListed {
+        /// Address that asked.
+        address: IpAddr,
+        /// What it asked to do.
+        action: Action,
+    },
     /// The operator has denied it.
     #[error(
         "{address} may not {action}: it is denied; `mr-slam allow {address}` at the laptop allows it again"
@@ -58,6 +74,22 @@ pub enum PermissionError {
     },
 }
 
+/// Why an address cannot be added to a list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum AddressListFull {
+    /// As many addresses are allowed as are kept.
+    #[error(
+        "{0} is not allowed: {ADDRESSES_MAX} addresses are allowed already, the limit; take one off the list with `mr-slam deny ADDRESS`"
+    )]
+    Allowed(IpAddr),
+    /// As many addresses are denied as are kept.
+    #[error(
+        "{0} has no permission now, but is NOT denied and may ask again: {ADDRESSES_MAX} addresses are denied already, the limit; take one \
+         off the list with `mr-slam allow ADDRESS`, or start the fleet without --trust-lan, so that only addresses that you allow drive"
+    )]
+    Denied(IpAddr),
+}
+
 /// The permissions of addresses, and the addresses that wait for one.
 #[derive(Debug)]
 pub struct AccessControl {
@@ -68,6 +100,8 @@ pub struct AccessControl {
     /// Addresses that the operator has refused and is not asked about again.
     denied: BTreeSet<IpAddr>,
     waiting: Vec<IpAddr>,
+    /// Requests of addresses that are not listed, since the list of those that wait is full.
+    unlisted_requests: u64,
     /// The room that waits for the operator's answer.
     room_offer: Option<RoomOffer>,
     /// Whether what the clients see was recorded: nothing moves then.
@@ -94,6 +128,7 @@ impl AccessControl {
             allowed: config.allow.iter().map(IpAddr::to_canonical).collect(),
             denied: BTreeSet::new(),
             waiting: Vec::new(),
+            unlisted_requests: 0,
             room_offer: None,
             is_replay: false,
         }
@@ -113,6 +148,7 @@ impl AccessControl {
         let permission = match action {
             Action::Watch => self.watch,
             Action::Drive | Action::Stop if is_denied => return false,
+            Action::OfferRoom | Action::AnswerForm => return !is_denied,
             Action::Drive => self.drive,
             Action::Stop => return true,
         };
@@ -124,21 +160,43 @@ impl AccessControl {
         if self.may(action, address) {
             return Ok(());
         }
-        self.add_request(address);
+        let is_listed = self.add_request(address);
         let is_denied = self.denied.contains(&address.to_canonical());
         Err(if is_denied && action != Action::Watch {
             PermissionError::Denied { address, action }
+        } else if !is_listed {
+            PermissionError::NotListed { address, action }
         } else {
             PermissionError::NotAllowed { address, action }
         })
     }
 
-    fn add_request(&mut self, address: IpAddr) {
+    /// Lists an address among those that wait, unless it is denied. Returns false if the list is full, and counts the request.
+    fn add_request(&mut self, address: IpAddr) -> bool {
         let address = address.to_canonical();
-        let is_known = self.waiting.contains(&address) || self.denied.contains(&address);
-        if !is_known && self.waiting.len() < WAITING_MAX {
-            self.waiting.push(address);
+        if self.waiting.contains(&address) || self.denied.contains(&address) {
+            return true;
         }
+        let is_listed = self.waiting.len() < WAITING_MAX;
+        if is_listed {
+            self.waiting.push(address);
+        } else {
+            self.unlisted_requests = self.unlisted_requests.saturating_add(1);
+        }
+        is_listed
+    }
+
+    /// Removes an address from those that wait. There is room again: who is not listed asks again.
+    fn answer_request(&mut self, address: IpAddr) {
+        self.waiting.retain(|waiting| *waiting != address);
+        if self.waiting.len() < WAITING_MAX {
+            self.unlisted_requests = 0;
+        }
+    }
+
+    /// Returns how many requests of addresses were not listed, since the list of those that wait is full.
+    pub fn unlisted_requests(&self) -> u64 {
+        self.unlisted_requests
     }
 
     /// Returns the addresses that wait for the operator's answer, in order of their requests.
@@ -157,21 +215,34 @@ impl AccessControl {
     }
 
     /// Allows an address to watch and drive.
-    pub fn allow(&mut self, address: IpAddr) {
+    ///
+    /// # Errors
+    /// As many addresses are allowed as are kept. Nothing is changed.
+    pub fn allow(&mut self, address: IpAddr) -> Result<(), AddressListFull> {
         let address = address.to_canonical();
-        self.waiting.retain(|waiting| *waiting != address);
+        if !self.allowed.contains(&address) && self.allowed.len() >= ADDRESSES_MAX {
+            return Err(AddressListFull::Allowed(address));
+        }
+        self.answer_request(address);
         self.denied.remove(&address);
         self.allowed.insert(address);
+        Ok(())
     }
 
-    /// Withdraws an address's permission, or refuses its request.
-    pub fn deny(&mut self, address: IpAddr) {
+    /// Withdraws an address's permission, or refuses its request, with the room that it offers.
+    ///
+    /// # Errors
+    /// As many addresses are denied as are kept. The permission is withdrawn, but the address may ask again.
+    pub fn deny(&mut self, address: IpAddr) -> Result<(), AddressListFull> {
         let address = address.to_canonical();
-        self.waiting.retain(|waiting| *waiting != address);
+        self.answer_request(address);
         self.allowed.remove(&address);
-        if self.denied.len() < DENIED_MAX {
-            self.denied.insert(address);
+        self.room_offer = self.room_offer.filter(|offer| offer.address.to_canonical() != address);
+        if !self.denied.contains(&address) && self.denied.len() >= ADDRESSES_MAX {
+            return Err(AddressListFull::Denied(address));
         }
+        self.denied.insert(address);
+        Ok(())
     }
 }
 
@@ -187,10 +258,10 @@ mod tests {
         assert!(error.to_string().contains("mr-slam allow 192.168.1.20"), "{error}");
         assert!(access.check(Action::Drive, address).is_err());
         assert_eq!(access.waiting(), [address]);
-        access.allow(address);
+        access.allow(address).unwrap();
         assert_eq!(access.check(Action::Drive, address), Ok(()));
         assert!(access.waiting().is_empty());
-        access.deny(address);
+        access.deny(address).unwrap();
         assert!(access.check(Action::Drive, address).is_err());
         assert!(access.waiting().is_empty(), "the operator is not asked again");
     }
@@ -200,7 +271,7 @@ mod tests {
         let (denied, other) = (IpAddr::from([192, 168, 1, 20]), IpAddr::from([192, 168, 1, 21]));
         let config = BridgeConfig { drive: Permission::Anyone, allow: vec![denied], ..Default::default() };
         let mut access = AccessControl::new(&config);
-        access.deny(denied);
+        access.deny(denied).unwrap();
         for action in [Action::Drive, Action::Stop] {
             let error = access.check(action, denied).unwrap_err().to_string();
             assert!(error.contains("it is denied"), "{error}");
@@ -209,5 +280,61 @@ mod tests {
         let strict = AccessControl::new(&BridgeConfig::default());
         assert!(strict.may(Action::Stop, other), "who may not drive may stop");
         assert_eq!(access.check(Action::Watch, denied), Ok(()));
+        for action in [Action::OfferRoom, Action::AnswerForm] {
+            assert!(access.check(action, denied).unwrap_err().to_string().contains("it is denied"));
+            assert_eq!(access.check(action, other), Ok(()));
+        }
+    }
+
+    fn numbered(number: usize) -> IpAddr {
+        IpAddr::from([10, 0, (number / 256) as u8, (number % 256) as u8])
+    }
+
+    #[test]
+    fn a_full_list_is_said_and_keeps_all_that_are_on_it() {
+        let config = BridgeConfig { drive: Permission::Anyone, ..Default::default() };
+        let mut access = AccessControl::new(&config);
+        (0..ADDRESSES_MAX).for_each(|number| access.deny(numbered(number)).unwrap());
+        let more = numbered(ADDRESSES_MAX);
+        let error = access.deny(more).unwrap_err().to_string();
+        assert!(error.contains("NOT denied") && error.contains("mr-slam allow"), "{error}");
+        assert_eq!(access.deny(numbered(0)), Ok(()), "it is denied already");
+        assert!((0..ADDRESSES_MAX).all(|number| !access.may(Action::Drive, numbered(number))));
+        access.allow(numbered(0)).unwrap();
+        assert_eq!(access.deny(more), Ok(()), "there is room again");
+        assert!(!access.may(Action::Drive, more));
+
+        let mut access = AccessControl::new(&BridgeConfig::default());
+        (0..ADDRESSES_MAX).for_each(|number| access.allow(numbered(number)).unwrap());
+        let error = access.allow(more).unwrap_err().to_string();
+        assert!(error.contains("not allowed") && error.contains("mr-slam deny"), "{error}");
+        assert_eq!((access.allowed().count(), access.may(Action::Drive, more)), (ADDRESSES_MAX, false));
+    }
+
+    #[test]
+    fn requests_that_are_not_listed_are_counted_until_there_is_room() {
+        let mut access = AccessControl::new(&BridgeConfig::default());
+        for number in 0..WAITING_MAX {
+            assert!(access.check(Action::Drive, numbered(number)).is_err());
+        }
+        let more = numbered(WAITING_MAX);
+        let error = access.check(Action::Drive, more).unwrap_err().to_string();
+        assert!(!error.contains("press `a`") && error.contains("mr-slam allow 10.0.0.32"), "{error}");
+        assert_eq!((access.waiting().len(), access.unlisted_requests()), (WAITING_MAX, 1));
+        access.deny(numbered(0)).unwrap();
+        assert_eq!(access.unlisted_requests(), 0);
+        assert!(access.check(Action::Drive, more).is_err());
+        assert_eq!(access.waiting().last(), Some(&more));
+    }
+
+    #[test]
+    fn the_room_of_a_denied_address_makes_room_for_another_one() {
+        let mut access = AccessControl::new(&BridgeConfig::default());
+        let address = numbered(7);
+        access.set_room_offer(Some(RoomOffer { address, bytes: 1 }));
+        access.deny(numbered(8)).unwrap();
+        assert!(access.room_offer().is_some());
+        access.deny(address).unwrap();
+        assert_eq!(access.room_offer(), None);
     }
 }

@@ -3,20 +3,19 @@
 mod clients;
 mod navigation;
 mod operator;
+mod permissions;
 mod room;
 mod status;
 
 pub use clients::ClientStatus;
 pub(crate) use status::FleetStatus;
 
-use crate::access::Action;
-use crate::command::name;
 use crate::config::{BridgeConfig, ConfigError};
 use crate::core::{ConnectError, Core};
 use crate::fleet_topics::{FleetMessage, FleetTopic};
 use crate::frame::RosTcpFrame;
 use crate::relay::{RosCommand, RosEvent};
-use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters};
+use crate::router::{ClientId, ClientSocket, ConnectionEnded, Counters};
 use crate::world::{ExternalWorld, WorldInput};
 use msg::{
     CommandSource, EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, OperatorEvent, RobotId,
@@ -299,48 +298,6 @@ impl Bridge {
     /// `/take_control`.
     pub fn restore_driver(&self, robot: RobotId, address: Option<IpAddr>, until: Monotonic) {
         self.core.borrow_mut().gate.drive_mut().restore_lease(robot, address, until);
-    }
-
-    /// Returns the addresses that wait for permission.
-    pub fn waiting_addresses(&self) -> Vec<IpAddr> {
-        self.core.borrow().access.waiting().to_vec()
-    }
-
-    /// Returns the addresses on the allow list.
-    pub fn allowed_addresses(&self) -> Vec<IpAddr> {
-        self.core.borrow().access.allowed().collect()
-    }
-
-    /// Returns the addresses that the operator has denied.
-    pub fn denied_addresses(&self) -> Vec<IpAddr> {
-        self.core.borrow().access.denied().collect()
-    }
-
-    /// Allows an address to watch and drive.
-    pub fn allow(&self, address: IpAddr) {
-        self.update(|core| {
-            core.access.allow(address);
-            core.update_services();
-            let is_same = |peer: SocketAddr| peer.ip().to_canonical() == address.to_canonical();
-            let there: Vec<ClientId> =
-                core.router.clients().filter(|client| is_same(client.peer)).map(|client| client.id).collect();
-            for id in there {
-                core.router.send_notice(id, name::LOG, "you may drive now".into());
-            }
-        });
-    }
-
-    /// Withdraws an address's permission; the robots that it drove, sent to goals or lets explore stop.
-    pub fn deny(&self, address: IpAddr) {
-        self.update(|core| {
-            core.access.deny(address);
-            core.update_services();
-            let is_denied = |client: &&Client| !core.access.may(Action::Drive, client.peer.ip());
-            let there: Vec<ClientId> =
-                core.router.clients().filter(is_denied).map(|client| client.id).collect();
-            there.into_iter().for_each(|id| core.stop_robots_of(id));
-            core.pause_robots_of(address);
-        });
     }
 
     /// Returns what has been counted since the start.

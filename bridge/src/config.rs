@@ -16,6 +16,7 @@ pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
 pub use page::PageConfig;
 pub use velocity::{LimitsOfRobot, VelocityConfig};
 
+use crate::access::ADDRESSES_MAX;
 use crate::peer_address::check_peer_address;
 use crate::world::ClockOffset;
 use ros_messages::OdometrySigmas;
@@ -165,6 +166,11 @@ impl BridgeConfig {
             let expected = "the address of one machine, such as 192.168.1.20: no client has an unspecified, multicast or \
                             broadcast address";
             return Err(ConfigError::new(format!("allow[{index}]"), self.allow[index].to_string(), expected));
+        }
+        if self.allow.len() > ADDRESSES_MAX {
+            // As many as `ADDRESSES_MAX`.
+            let expected = "1024 addresses at most";
+            return Err(ConfigError::new("allow", format!("{} addresses", self.allow.len()), expected));
         }
         if let Some(name) =
             self.open_topics.iter().find(|name| ros_messages::interfaces::resolve_name(name).is_err())

@@ -37,6 +37,7 @@ mod teleop;
 mod transport;
 pub mod world;
 
+pub use access::{ADDRESSES_MAX, AddressListFull};
 pub use battery::{BatteryLevel, BatteryStatus};
 pub use bridge::{Bridge, ClientStatus};
 pub use config::{

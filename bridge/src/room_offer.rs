@@ -1,5 +1,6 @@
 //! The room that a headset offers as the simulators' world, while it waits for the operator's answer.
 
+use crate::access::PermissionError;
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
 use thiserror::Error;
@@ -14,8 +15,11 @@ pub struct RoomOffer {
 }
 
 /// Why a room cannot be offered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum OfferError {
+    /// The address is denied.
+    #[error(transparent)]
+    Denied(#[from] PermissionError),
     /// The fleet's robots are not simulated here.
     #[error("the robots of this fleet are not simulated: it has no room to replace")]
     NotSimulated,

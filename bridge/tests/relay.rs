@@ -175,13 +175,13 @@ fn only_who_may_drive_publishes_in_ros_but_on_open_topics() {
     let notices = simulation.notices(guest);
     assert_eq!(notices.len(), 1, "said once: {notices:?}");
     assert!(notices[0].contains("mr-slam allow 192.168.1.20"), "{notices:?}");
-    simulation.bridge.allow([192, 168, 1, 20].into());
+    simulation.bridge.allow([192, 168, 1, 20].into()).unwrap();
     simulation.send(guest, "/goal_pose", MESSAGE);
     assert_eq!(
         simulation.asked(),
         ["advertise /goal_pose geometry_msgs/PoseStamped", "publish /goal_pose 8"]
     );
-    simulation.bridge.deny([192, 168, 1, 20].into());
+    simulation.bridge.deny([192, 168, 1, 20].into()).unwrap();
     simulation.send(guest, "/goal_pose", MESSAGE);
     assert!(simulation.asked().is_empty());
 }

@@ -17,6 +17,9 @@ pub struct BridgeState {
     pub selected: usize,
     /// Addresses that asked to drive and wait for an answer, in the order in which they asked.
     pub waiting: Vec<IpAddr>,
+    /// Requests of addresses that are not in `waiting`, because it is full.
+    #[serde(default)]
+    pub unlisted_requests: u64,
     /// Addresses that may drive.
     pub allowed: Vec<IpAddr>,
     /// Addresses that may not drive, whatever else is allowed.
@@ -39,6 +42,16 @@ impl BridgeState {
         let mut json = self.operators_json();
         json["batteries"] = self.batteries_json();
         json
+    }
+
+    /// Returns a line about the requests that are not listed; empty if there are none.
+    pub fn unlisted_text(&self) -> String {
+        match self.unlisted_requests {
+            0 => String::new(),
+            requests => format!(
+                "{requests} requests of further addresses are not listed: answer those that wait, or run mr-slam allow ADDRESS\n"
+            ),
+        }
     }
 
     /// Returns the batteries of the robots that have sent their state, without its age.
@@ -138,6 +151,7 @@ impl BridgeState {
         for address in &self.waiting {
             text += &format!("{address} asks to drive: mr-slam allow {address}\n");
         }
+        text += &self.unlisted_text();
         if let Some(RoomOffer { address, .. }) = self.room_offer {
             text += &format!("{address} offers its room as the world: mr-slam room accept, or refuse\n");
         }

@@ -189,6 +189,7 @@ fn list(args: &StopArgs) -> Result<(), PermissionError> {
         }
         bridge.allowed.iter().for_each(|address| text += &format!("{address} may drive\n"));
         bridge.waiting.iter().for_each(|address| text += &format!("{address} waits for an answer\n"));
+        text += &bridge.unlisted_text();
         bridge.denied.iter().for_each(|address| text += &format!("{address} is denied\n"));
         if bridge.allowed.is_empty() && bridge.waiting.is_empty() && bridge.denied.is_empty() {
             text += "nobody has asked\n";

@@ -8,7 +8,7 @@ use crate::clock::now;
 use crate::control::{self, LINE_MAX, Reply, Request};
 use crate::run::Run;
 use crate::storage::Storage;
-use ::bridge::{Bridge, PeerAddressError, check_peer_address};
+use ::bridge::{AddressListFull, Bridge, PeerAddressError, check_peer_address};
 use files::{ControlFiles, FileJob, FileReport, FileWorker};
 use msg::Monotonic;
 use permission_files::PermissionFiles;
@@ -43,6 +43,9 @@ pub enum RequestError {
     /// No client has the address.
     #[error(transparent)]
     Address(#[from] PeerAddressError),
+    /// As many addresses are listed as are kept.
+    #[error(transparent)]
+    ListFull(#[from] AddressListFull),
     /// No connection is the one that was named.
     #[error("no such client is connected, see `mr-slam clients`")]
     NoSuchClient,
@@ -141,8 +144,8 @@ impl<W: FileWorker> Control<W> {
         self.bridge.tick(now);
         match request {
             Request::State => {}
-            Request::Allow(address) => self.bridge.allow(check_peer_address(address)?),
-            Request::Deny(address) => self.bridge.deny(check_peer_address(address)?),
+            Request::Allow(address) => self.bridge.allow(check_peer_address(address)?)?,
+            Request::Deny(address) => self.bridge.deny(check_peer_address(address)?)?,
             Request::AnswerRoom => self.bridge.answer_room(),
             Request::Stop => self.bridge.stop_robots(),
             Request::Release => self.bridge.release_stop(),
@@ -161,6 +164,7 @@ impl<W: FileWorker> Control<W> {
             driven_by_client: self.bridge.is_driven_by_client(now),
             selected: self.bridge.selected_robot().number(),
             waiting: self.bridge.waiting_addresses(),
+            unlisted_requests: self.bridge.unlisted_requests(),
             allowed: self.bridge.allowed_addresses(),
             denied: self.bridge.denied_addresses(),
             clients: self.bridge.clients(now),

@@ -1,6 +1,8 @@
-//! The room that a headset offers, while it waits for the operator's answer.
+//! What browsers send with a request of their own: the room that a headset offers, while it waits for the operator's answer, and answers
+//! to the form of workload.
 
 use super::Bridge;
+use crate::access::{Action, PermissionError};
 use crate::room_offer::{OfferError, RoomOffer};
 use std::net::IpAddr;
 
@@ -17,12 +19,18 @@ impl Bridge {
 
     /// Returns whether an address may offer a room now.
     pub(crate) fn check_room_offer(&self, address: IpAddr) -> Result<(), OfferError> {
-        let core = self.core.borrow();
+        let mut core = self.core.borrow_mut();
+        core.access.check(Action::OfferRoom, address)?;
         match core.access.room_offer() {
             _ if core.world.is_some() => Err(OfferError::NotSimulated),
             Some(offer) if offer.address != address => Err(OfferError::Waiting(offer.address)),
             _ => Ok(()),
         }
+    }
+
+    /// Returns whether an address may answer the form of workload.
+    pub(crate) fn check_form_answer(&self, address: IpAddr) -> Result<(), PermissionError> {
+        self.core.borrow_mut().access.check(Action::AnswerForm, address)
     }
 
     /// Records a room that was saved.

@@ -80,6 +80,7 @@ impl RoomReceiver {
             Ok(()) => text_response("202 Accepted", "the room waits for the operator's answer"),
             Err(error) => {
                 let status = match error {
+                    RoomError::Offer(OfferError::Denied(_)) => "403 Forbidden",
                     RoomError::Offer(_) => "409 Conflict",
                     RoomError::Busy => "503 Service Unavailable",
                     RoomError::Slow => "408 Request Timeout",
@@ -107,6 +108,8 @@ impl RoomReceiver {
         let _busy = Busy(&self.is_busy);
         let body = timeout(ROOM_TIMEOUT, read_body(stream, first, length));
         let body = body.await.map_err(|_| RoomError::Slow)?.map_err(|_| RoomError::Slow)?;
+        // It may have been denied meanwhile.
+        bridge.check_room_offer(address)?;
         save(body).await?;
         bridge.record_room_offer(RoomOffer { address, bytes: length });
         Ok(())

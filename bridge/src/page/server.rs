@@ -140,7 +140,8 @@ pub(super) async fn serve_connection<S: Stream>(shared: Rc<Shared>, stream: S, p
         }
         Ok((Request::Tlx { length }, head)) => {
             let first = received.split_off(head);
-            (tlx::receive(shared.save_tlx.as_ref(), &stream, first, length).await, [].as_slice())
+            let save = (&*shared.bridge, shared.save_tlx.as_ref());
+            (tlx::receive(save, &stream, peer.ip(), first, length).await, [].as_slice())
         }
         Ok((Request::File { path, with_body }, _)) => file_response(shared.files, &path, with_body),
         Err(error) => (error.response(), [].as_slice()),

@@ -4,10 +4,13 @@
 
 use super::http::text_response;
 use super::room::read_body;
+use crate::access::PermissionError;
+use crate::bridge::Bridge;
 use crate::connection::Stream;
 use serde::{Deserialize, Serialize};
 use std::future::Future;
 use std::io;
+use std::net::IpAddr;
 use std::pin::Pin;
 use std::rc::Rc;
 use std::time::Duration;
@@ -56,6 +59,9 @@ pub enum TlxError {
         /// Rating that was given.
         rating: u8,
     },
+    /// The address is denied.
+    #[error(transparent)]
+    Denied(#[from] PermissionError),
     /// It did not come whole.
     #[error("the answer did not come within {} s", TLX_TIMEOUT.as_secs())]
     Slow,
@@ -103,14 +109,16 @@ impl TlxAnswer {
 /// Saves an answer. Must not block the thread.
 pub type SaveTlx = Rc<dyn Fn(TlxAnswer) -> Pin<Box<dyn Future<Output = Result<(), TlxError>>>>>;
 
-/// Receives an answer of `length` bytes, of which `first` are here already; returns the response.
+/// Receives an answer of an address, `length` bytes, of which `first` are here already; returns the response.
 pub(super) async fn receive(
-    save: Option<&SaveTlx>,
+    (bridge, save): (&Bridge, Option<&SaveTlx>),
     stream: &impl Stream,
+    address: IpAddr,
     first: Vec<u8>,
     length: usize,
 ) -> Vec<u8> {
     let result = async {
+        bridge.check_form_answer(address)?;
         let save = save.ok_or(TlxError::NotKept)?;
         let body = timeout(TLX_TIMEOUT, read_body(stream, first, length));
         let body = body.await.map_err(|_| TlxError::Slow)?.map_err(|_| TlxError::Slow)?;
@@ -121,6 +129,7 @@ pub(super) async fn receive(
         Err(error) => {
             let status = match error {
                 TlxError::Json(_) | TlxError::Rating { .. } => "422 Unprocessable Content",
+                TlxError::Denied(_) => "403 Forbidden",
                 TlxError::Slow => "408 Request Timeout",
                 TlxError::NotKept | TlxError::Full(_) => "409 Conflict",
                 TlxError::Save(_) => "500 Internal Server Error",

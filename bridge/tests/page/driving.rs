@@ -96,7 +96,7 @@ fn an_address_without_permission_watches_but_does_not_drive() {
     browser.publish(channel, &FORWARD);
     browser.wait_for_status("may not drive yet");
     assert_ne!(last_of(1, &served.velocities.lock().unwrap()), Some(0.1));
-    served.with(|bridge| bridge.allow([127, 0, 0, 1].into()));
+    served.with(|bridge| bridge.allow([127, 0, 0, 1].into())).unwrap();
     browser.publish(channel, &FORWARD);
     served.wait_for(|velocities| last_of(1, velocities) == Some(0.1));
 }

@@ -70,3 +70,16 @@ fn a_room_of_a_foreign_page_or_without_an_end_is_refused() {
     assert!(response(first).starts_with("HTTP/1.1 408 "));
     assert_eq!(served.with(|bridge| (SAVED_ROOM.take(), bridge.room_offer())), (None, None));
 }
+
+#[test]
+fn a_denied_address_offers_no_room() {
+    let served = Served::start(BridgeConfig::default());
+    served.with(|bridge| bridge.deny(Ipv4Addr::LOCALHOST.into())).unwrap();
+    let mut stream = connect(&served);
+    stream.write_all(head(&served, &own_origin(&served), 3).as_bytes()).unwrap();
+    stream.write_all(b"abc").unwrap();
+    stream.shutdown(std::net::Shutdown::Write).unwrap();
+    let refused = response(stream);
+    assert!(refused.starts_with("HTTP/1.1 403 ") && refused.contains("it is denied"), "{refused}");
+    assert_eq!(served.with(|bridge| (SAVED_ROOM.take(), bridge.room_offer())), (None, None));
+}

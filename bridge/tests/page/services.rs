@@ -108,7 +108,7 @@ fn an_address_without_permission_calls_nothing_of_the_fleet() {
     browser.read_until(|browser| !browser.failures.is_empty());
     assert!(browser.failures[0].1.contains("mr-slam allow 127.0.0.1"), "{:?}", browser.failures);
     assert!(requests.try_recv().is_err());
-    served.with(|bridge| bridge.allow([127, 0, 0, 1].into()));
+    served.with(|bridge| bridge.allow([127, 0, 0, 1].into())).unwrap();
     browser.call(service, 2, "cdr", EMPTY);
     assert_eq!(requests.recv_timeout(WAIT_MAX).unwrap().kind, SlamRequestKind::Reset as u32);
 }

@@ -40,3 +40,13 @@ fn an_answer_of_the_own_page_is_saved_and_others_are_refused_with_the_reason() {
     assert!(post(&served, &own, ANSWER, ANSWER.len()).starts_with("HTTP/1.1 201 "));
     assert_eq!(saved().map(|answer| answer.raw()), Some(32.5));
 }
+
+#[test]
+fn a_denied_address_is_refused_and_takes_no_place() {
+    let served = Served::start(BridgeConfig::default());
+    let own = format!("http://{}", served.page);
+    served.with(|bridge| bridge.deny(std::net::Ipv4Addr::LOCALHOST.into())).unwrap();
+    let refused = post(&served, &own, ANSWER, ANSWER.len());
+    assert!(refused.starts_with("HTTP/1.1 403 ") && refused.contains("it is denied"), "{refused}");
+    assert_eq!(served.with(|_| SAVED_TLX.take()), None);
+}

@@ -113,7 +113,7 @@ fn a_client_without_permission_sends_no_sensor_data() {
         assert!(client.error().await.contains("mr-slam allow 127.0.0.1"));
         assert!(messages.borrow().is_empty());
         assert_eq!(served.bridge.waiting_addresses(), [std::net::IpAddr::from([127, 0, 0, 1])]);
-        served.bridge.allow(served.bridge.waiting_addresses()[0]);
+        served.bridge.allow(served.bridge.waiting_addresses()[0]).unwrap();
         client.send("/robot1/scan", &scan()).await;
         client.settle().await;
         assert_eq!(messages.borrow().len(), 1);

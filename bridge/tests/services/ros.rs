@@ -152,9 +152,9 @@ fn only_who_may_drive_offers_and_calls_in_ros_but_open_names() {
     simulation.call(guest, 2, "/spawn");
     assert_eq!(simulation.asked().len(), 1);
 
-    simulation.bridge.allow([192, 168, 1, 20].into());
+    simulation.bridge.allow([192, 168, 1, 20].into()).unwrap();
     assert_eq!(simulation.asked(), [format!("use /despawn {TRIGGER}"), format!("serve /reboot {TRIGGER}")]);
-    simulation.bridge.deny([192, 168, 1, 20].into());
+    simulation.bridge.deny([192, 168, 1, 20].into()).unwrap();
     assert_eq!(simulation.asked(), ["leave /despawn", "close /reboot"]);
 }
 

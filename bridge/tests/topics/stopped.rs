@@ -70,7 +70,7 @@ fn goals_of_a_client_that_is_denied_are_paused() {
     for number in [1, 2] {
         bridge.publish(FleetMessage::NavigationState(robot(number), &report(NavigationStatus::Driving)));
     }
-    bridge.deny([127, 0, 0, 1].into());
+    bridge.deny([127, 0, 0, 1].into()).unwrap();
     assert_eq!(commands.take(), [(robot(1), Some(NavigationAction::Pause))], "robot 2 has another's goal");
 }
 
@@ -87,7 +87,7 @@ fn an_exploration_of_a_client_that_is_denied_is_paused_until_it_is_over() {
     };
     // Navigation has not read it.
     let (bridge, commands) = begin();
-    bridge.deny(denied.into());
+    bridge.deny(denied.into()).unwrap();
     assert_eq!(commands.take(), all);
     // It is over, and the second robot drives to a goal of somebody else.
     let (bridge, commands) = begin();
@@ -98,7 +98,7 @@ fn an_exploration_of_a_client_that_is_denied_is_paused_until_it_is_over() {
     };
     bridge.publish(FleetMessage::ExplorationState(&over));
     bridge.publish(FleetMessage::NavigationState(robot(2), &report(NavigationStatus::Driving)));
-    bridge.deny(denied.into());
+    bridge.deny(denied.into()).unwrap();
     assert!(commands.borrow().is_empty(), "the goal is another's: {commands:?}");
 }
 

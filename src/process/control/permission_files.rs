@@ -28,15 +28,18 @@ impl<S: Storage> PermissionFiles<S> {
     /// Allows the addresses of the allow list to drive.
     pub fn allow(&self, bridge: &Bridge) {
         if let Some(path) = &self.allowed {
-            self.read(path).0.into_iter().for_each(|address| bridge.allow(address));
+            for why in self.read(path).0.into_iter().filter_map(|address| bridge.allow(address).err()) {
+                tracing::warn!("{}: {why}", path.display());
+            }
         }
     }
 
     /// Forbids the denied addresses to drive. If nobody knows who is denied, the emergency stop is set: a person decides then.
     pub fn deny(&self, bridge: &Bridge) {
         let (addresses, is_whole) = self.read(&self.denied);
-        addresses.into_iter().for_each(|address| bridge.deny(address));
-        if !is_whole {
+        let not_denied = addresses.into_iter().filter_map(|address| bridge.deny(address).err());
+        let has_room = not_denied.map(|why| tracing::warn!("{}: {why}", self.denied.display())).count() == 0;
+        if !is_whole || !has_room {
             tracing::warn!(
                 "{}: who else may not drive is not known: the emergency stop is set; deny anew who must not, which writes the file \
                  anew, then `mr-slam release`",

@@ -121,7 +121,9 @@ impl<S: Storage> SavedFiles<S> {
         };
         match files.read_state() {
             Ok(Some(state)) if state.run == run.begun.0 => {
-                state.allowed.iter().for_each(|address| bridge.allow(*address));
+                for why in state.allowed.iter().filter_map(|address| bridge.allow(*address).err()) {
+                    tracing::warn!("{}: {why}", files.state_file.display());
+                }
                 RobotId::new(state.selected).into_iter().for_each(|robot| bridge.restore_selection(robot));
                 let until = now + run.config.bridge.lease() + RECONNECTED_WITHIN;
                 for driver in &state.drivers {

@@ -4,6 +4,7 @@ use crate::config::FleetConfig;
 use crate::emergency_stop_file::latch_stop;
 use crate::job_thread::JobWorker;
 use crate::storage::DiskStorage;
+use ::bridge::ADDRESSES_MAX;
 use ::bridge::BridgeConfig;
 use formats::map_file::MapFileError;
 use msg::{Grid, GridView, NavigationAction, RobotId};
@@ -337,6 +338,19 @@ fn a_file_of_denied_addresses_that_cannot_be_read_sets_the_emergency_stop() {
 }
 
 #[test]
+fn more_denied_addresses_than_are_kept_set_the_emergency_stop() {
+    for (count, is_stopped) in [(ADDRESSES_MAX, false), (ADDRESSES_MAX + 1, true)] {
+        let folder = tempfile::tempdir().unwrap();
+        let run = run_in(folder.path());
+        let lines: String = (0..count).map(|i| format!("10.0.{}.{}\n", i / 256, i % 256)).collect();
+        std::fs::write(saved_state::denied_file(&run), lines).unwrap();
+        let bridge = Bridge::new(run.config.bridge.clone(), 2, |_, _| {}).unwrap();
+        restore_files(&bridge, &run, DiskStorage, Monotonic(0));
+        assert_eq!((bridge.is_stopped(), bridge.denied_addresses().len()), (is_stopped, ADDRESSES_MAX));
+    }
+}
+
+#[test]
 fn who_is_denied_after_a_restart_of_the_bridge_loses_the_goals_of_before() {
     let folder = tempfile::tempdir().unwrap();
     let run = run_in(folder.path());
@@ -355,8 +369,8 @@ fn who_is_denied_after_a_restart_of_the_bridge_loses_the_goals_of_before() {
     let sink = paused.clone();
     bridge.on_navigation(move |robot, command| sink.borrow_mut().push((robot, command.action())));
     // Nothing of navigation has been heard yet.
-    bridge.deny([10, 0, 0, 8].into());
+    bridge.deny([10, 0, 0, 8].into()).unwrap();
     assert!(paused.borrow().is_empty(), "another one's denial");
-    bridge.deny(address);
+    bridge.deny(address).unwrap();
     assert_eq!(paused.take(), [(robot, Some(NavigationAction::Pause))]);
 }
