@@ -12,7 +12,7 @@ use crate::progress::WatchedThread;
 use crate::realtime::lower_priority;
 use crate::run::Run;
 use crate::storage::{DiskStorage, Storage};
-use ::merge::FleetPoseGraph;
+use ::merge::{FleetPoseGraph, Rejections, SubmapMessage, SubmapRejected};
 use msg::{
     EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Role, Submap, SubmapPoses,
     SubmapRequest,
@@ -76,6 +76,8 @@ pub fn run(run: &Run, state: GraphWorkerParts<DiskStorage>, done: &AtomicBool) -
     let mut graph = GraphWorker::open(&participant, run, state)?;
     let progress = run.progress(Role::Merge, None, WatchedThread::Second);
     serve(&mut graph, progress, &|| done.load(Ordering::Relaxed));
+    let rejected = graph.sources.iter().flat_map(|source| source.rejections.summary());
+    rejected.for_each(|line| tracing::warn!("merge: {line}"));
     Ok(())
 }
 
@@ -161,6 +163,8 @@ struct Source<P: Ports> {
     submaps: P::Reader<Submap>,
     poses: P::Reader<SubmapPoses>,
     requests: P::Writer<SubmapRequest>,
+    /// Messages that the graph has rejected.
+    rejections: Rejections,
     /// Messages lost so far, when all submaps were last requested.
     lost: u64,
     /// Moment since which a submap has been missing.
@@ -178,6 +182,7 @@ impl<P: Ports> Source<P> {
             submaps: ports.reader(&channel::submap(robot))?,
             poses: ports.reader(&channel::submap_poses(robot))?,
             requests: ports.writer(&channel::submap_request(robot))?,
+            rejections: Rejections::default(),
             lost: 0,
             missing_since: None,
             missing_before: 0,
@@ -185,13 +190,21 @@ impl<P: Ports> Source<P> {
         })
     }
 
+    /// Counts a message that was rejected, and says so if its reason is new.
+    fn record(&mut self, message: SubmapMessage, result: Result<(), SubmapRejected>) {
+        if let Some(text) = self.rejections.record(self.robot, message, result) {
+            tracing::warn!("merge: {text}");
+        }
+    }
+
     fn receive(&mut self, graph: &mut FleetPoseGraph, now: Monotonic) {
-        // Invalid poses are ignored.
         if let Some(poses) = self.poses.newest() {
-            let _ = graph.update_poses(self.robot, &poses);
+            let result = graph.update_poses(self.robot, &poses);
+            self.record(SubmapMessage::Poses, result);
         }
         while let Some(submap) = self.submaps.receive() {
-            let _ = graph.add_submap(self.robot, &submap);
+            let result = graph.add_submap(self.robot, &submap);
+            self.record(SubmapMessage::Submap, result);
         }
         let (lost, missing) = (self.submaps.receive_counts().lost, graph.missing_submaps(self.robot));
         if missing == 0 && lost == self.lost {

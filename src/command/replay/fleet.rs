@@ -7,7 +7,7 @@ use super::records::{Log, LogScan, Records};
 use super::{ReplayArgs, ReplayError, Summary, starts, trajectory::write_trajectory};
 use crate::command::output;
 use formats::map_file::{self, write_map_with_reasons};
-use merge::{FleetPoseGraph, MergeConfig, Merger};
+use merge::{FleetPoseGraph, MergeConfig, Merger, Rejections, SubmapMessage};
 use msg::{Grid, MergeEdges, Pose2, RobotId, Stamp, SubmapPoses};
 use reports::{EdgeView, edge_table};
 use serde::Serialize;
@@ -121,11 +121,13 @@ pub fn run(
     let mut merged = Merged {
         fleet: FleetPoseGraph::new(merging, &known),
         poses: bytemuck::allocation::zeroed_box(),
+        rejections: Rejections::default(),
         merge_s: 0.0,
         task_max_ms: 0.0,
         update_max_ms: 0.0,
     };
     let mut robots = merged.replay(robots);
+    merged.rejections.summary().for_each(|line| output::note(&line));
     let map = merged.map(merging, &mut robots);
     if let Some(path) = &args.map {
         let reasons = merged.unreliable_reasons(&robots);
@@ -186,6 +188,8 @@ impl<'a> Robot<'a> {
 struct Merged {
     fleet: FleetPoseGraph,
     poses: Box<SubmapPoses>,
+    /// Messages that the fleet's pose graph has rejected; a rejected submap is missing in the map.
+    rejections: Rejections,
     merge_s: f64,
     task_max_ms: f64,
     update_max_ms: f64,
@@ -216,10 +220,14 @@ impl Merged {
     fn send(&mut self, robot: &mut Robot<'_>) {
         robot.submaps.poses(&robot.back, &mut self.poses);
         let began = Instant::now();
-        // A robot's own submaps are sound; a refused one would be missing in the map.
-        let _ = self.fleet.update_poses(robot.id, &self.poses);
+        let mut record = |message, result| {
+            if let Some(text) = self.rejections.record(robot.id, message, result) {
+                tracing::warn!("merge: {text}");
+            }
+        };
+        record(SubmapMessage::Poses, self.fleet.update_poses(robot.id, &self.poses));
         while let Some(submap) = robot.submaps.next_changed(&robot.back) {
-            let _ = self.fleet.add_submap(robot.id, submap);
+            record(SubmapMessage::Submap, self.fleet.add_submap(robot.id, submap));
         }
         self.note_update(began);
     }
