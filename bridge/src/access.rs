@@ -1,6 +1,7 @@
 //! Access control by address, for watching and for driving.
 
 use crate::config::{BridgeConfig, Permission};
+use crate::peer_address::ADDRESSES_MAX;
 use crate::room_offer::RoomOffer;
 use std::collections::BTreeSet;
 use std::fmt;
@@ -9,8 +10,6 @@ use thiserror::Error;
 
 /// Addresses that may wait for permission at a time; further requests are not shown to the operator.
 const WAITING_MAX: usize = 32;
-/// Largest number of addresses that are allowed, and of those that are denied. Each more is refused: none is forgotten for another one.
-pub const ADDRESSES_MAX: usize = 1024;
 
 /// What an address asks to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

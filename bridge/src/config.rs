@@ -16,8 +16,7 @@ pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
 pub use page::PageConfig;
 pub use velocity::{LimitsOfRobot, VelocityConfig};
 
-use crate::access::ADDRESSES_MAX;
-use crate::peer_address::check_peer_address;
+use crate::peer_address::{ADDRESSES_MAX, check_peer_address};
 use crate::world::ClockOffset;
 use ros_messages::OdometrySigmas;
 use ros_messages::{Dialect, NameStyle};

@@ -37,7 +37,7 @@ mod teleop;
 mod transport;
 pub mod world;
 
-pub use access::{ADDRESSES_MAX, AddressListFull};
+pub use access::AddressListFull;
 pub use battery::{BatteryLevel, BatteryStatus};
 pub use bridge::{Bridge, ClientStatus};
 pub use config::{
@@ -54,7 +54,9 @@ pub use page::{
     PageContent, PageFile, PageListeners, ROOM_BYTES_MAX, SaveRoom, SaveTlx, TlsAcceptor, TlsError,
     TlxAnswer, TlxError, serve_page, tls_acceptor,
 };
-pub use peer_address::{PeerAddressError, PeerTextError, check_peer_address, parse_peer_address};
+pub use peer_address::{
+    ADDRESSES_MAX, PeerAddressError, PeerTextError, check_peer_address, parse_peer_address,
+};
 pub use room_offer::RoomOffer;
 pub use ros_messages as ros;
 pub use ros_messages::{OdometrySigmas, RobotNameError, RobotNames, cdr, interfaces};

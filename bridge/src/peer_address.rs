@@ -3,6 +3,9 @@
 use std::net::{IpAddr, Ipv4Addr};
 use thiserror::Error;
 
+/// Largest number of addresses that are allowed, and of those that are denied. Each more is refused: none is forgotten for another one.
+pub const ADDRESSES_MAX: usize = 1024;
+
 /// An address that no client has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error(

@@ -1,6 +1,5 @@
 //! The room that a headset offers as the simulators' world, while it waits for the operator's answer.
 
-use crate::access::PermissionError;
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
 use thiserror::Error;
@@ -15,11 +14,8 @@ pub struct RoomOffer {
 }
 
 /// Why a room cannot be offered.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum OfferError {
-    /// The address is denied.
-    #[error(transparent)]
-    Denied(#[from] PermissionError),
     /// The fleet's robots are not simulated here.
     #[error("the robots of this fleet are not simulated: it has no room to replace")]
     NotSimulated,

@@ -151,8 +151,9 @@ pub fn deny(args: &DenyArgs) -> Result<(), PermissionError> {
     let run = args.common.run.open_to_change()?;
     let denied = denied_file(&run);
     let write = || {
-        allowed::remember(&DiskStorage, &denied, address, true)
-            .and_then(|()| allowed::remember(&DiskStorage, &allowed::file(&run), address, false))
+        // Off the list of those who may, also if the other list is full.
+        let taken_off = allowed::remember(&DiskStorage, &allowed::file(&run), address, false);
+        allowed::remember(&DiskStorage, &denied, address, true).and(taken_off)
     };
     // A disk may be slow, and who drives must not drive on meanwhile.
     let (asked, written) = std::thread::scope(|scope| {

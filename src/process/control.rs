@@ -182,12 +182,15 @@ pub async fn answer<W: FileWorker>(
     request: Request,
     clock: impl Fn() -> Monotonic,
 ) -> Reply {
-    let mut unsaved: Vec<String> = change(control, request, &clock)
-        .await
-        .map_err(|why| why.to_string())?
-        .map(|busy| format!("{NOT_IN_FILES}: {busy}"))
-        .into_iter()
-        .collect();
+    let changed = change(control, request, &clock).await;
+    let is_withdrawn = matches!(changed, Err(RequestError::ListFull(AddressListFull::Denied(_))));
+    let (busy, refused) = match changed {
+        Ok(busy) => (busy, None),
+        // Its permission is withdrawn, in the files too.
+        Err(why) if is_withdrawn => (None, Some(why.to_string())),
+        Err(why) => return Err(why.to_string()),
+    };
+    let mut unsaved: Vec<String> = busy.map(|busy| format!("{NOT_IN_FILES}: {busy}")).into_iter().collect();
     if let Request::Allow(address) | Request::Deny(address) = request {
         let may_drive = matches!(request, Request::Allow(_));
         let report = control.borrow_mut().files.submit(FileJob::Remember { address, may_drive });
@@ -196,6 +199,9 @@ pub async fn answer<W: FileWorker>(
             .map_or_else(|_| Err(io::Error::other(RequestError::DiskBusy)), |report| report.result);
         let after = if may_drive { "may ask for its permission again" } else { "may drive" };
         unsaved.extend(result.err().map(|why| format!("{why}; after a restart {address} {after}")));
+    }
+    if let Some(why) = refused {
+        return Err(why);
     }
     let mut state = control.borrow().bridge_state(clock());
     unsaved.extend(state.not_saved.take());
@@ -206,7 +212,7 @@ pub async fn answer<W: FileWorker>(
 /// Applies a request. Returns why its outcome is not in the files if nobody could write them; what the disk refused is in
 /// [`Control::not_saved`].
 ///
-/// Errors: the request is not applied.
+/// Errors: the request is not applied, but for a denial without a place among the denied, which withdraws the permission.
 async fn change<W: FileWorker>(
     control: &RefCell<Control<W>>,
     request: Request,
@@ -219,7 +225,12 @@ async fn change<W: FileWorker>(
         // What was written on the disk before this request comes first.
         _ => save(control, clock()).await?,
     }
-    control.borrow().apply(request, clock())?;
+    let applied = control.borrow().apply(request, clock());
+    if matches!(applied, Err(RequestError::ListFull(AddressListFull::Denied(_)))) {
+        // The permission is withdrawn, which must be saved.
+        let _ = save(control, clock()).await;
+    }
+    applied?;
     Ok(save(control, clock()).await.err())
 }
 

@@ -19,8 +19,7 @@ impl Bridge {
 
     /// Returns whether an address may offer a room now.
     pub(crate) fn check_room_offer(&self, address: IpAddr) -> Result<(), OfferError> {
-        let mut core = self.core.borrow_mut();
-        core.access.check(Action::OfferRoom, address)?;
+        let core = self.core.borrow();
         match core.access.room_offer() {
             _ if core.world.is_some() => Err(OfferError::NotSimulated),
             Some(offer) if offer.address != address => Err(OfferError::Waiting(offer.address)),
@@ -28,9 +27,9 @@ impl Bridge {
         }
     }
 
-    /// Returns whether an address may answer the form of workload.
-    pub(crate) fn check_form_answer(&self, address: IpAddr) -> Result<(), PermissionError> {
-        self.core.borrow_mut().access.check(Action::AnswerForm, address)
+    /// Returns whether an address has the permission for a request of its own: it is not denied.
+    pub(crate) fn check_permission(&self, action: Action, address: IpAddr) -> Result<(), PermissionError> {
+        self.core.borrow_mut().access.check(action, address)
     }
 
     /// Records a room that was saved.

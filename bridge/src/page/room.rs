@@ -3,6 +3,7 @@
 //! It comes as the body of `POST /room`. Nothing reads it here: it is passed on as bytes, and the operator's tool checks it.
 
 use super::http::text_response;
+use crate::access::{Action, PermissionError};
 use crate::bridge::Bridge;
 use crate::connection::Stream;
 use crate::room_offer::{OfferError, RoomOffer};
@@ -35,6 +36,9 @@ pub(super) enum RoomError {
     /// It may not be offered now.
     #[error(transparent)]
     Offer(#[from] OfferError),
+    /// The address is denied.
+    #[error(transparent)]
+    Denied(#[from] PermissionError),
     /// Another room is being received.
     #[error("another room is being received; try again")]
     Busy,
@@ -80,7 +84,7 @@ impl RoomReceiver {
             Ok(()) => text_response("202 Accepted", "the room waits for the operator's answer"),
             Err(error) => {
                 let status = match error {
-                    RoomError::Offer(OfferError::Denied(_)) => "403 Forbidden",
+                    RoomError::Denied(_) => "403 Forbidden",
                     RoomError::Offer(_) => "409 Conflict",
                     RoomError::Busy => "503 Service Unavailable",
                     RoomError::Slow => "408 Request Timeout",
@@ -101,6 +105,7 @@ impl RoomReceiver {
     ) -> Result<(), RoomError> {
         let address = address.to_canonical();
         let save = self.save.as_ref().ok_or(OfferError::NotSimulated)?;
+        bridge.check_permission(Action::OfferRoom, address)?;
         bridge.check_room_offer(address)?;
         if self.is_busy.replace(true) {
             return Err(RoomError::Busy);
@@ -109,7 +114,7 @@ impl RoomReceiver {
         let body = timeout(ROOM_TIMEOUT, read_body(stream, first, length));
         let body = body.await.map_err(|_| RoomError::Slow)?.map_err(|_| RoomError::Slow)?;
         // It may have been denied meanwhile.
-        bridge.check_room_offer(address)?;
+        bridge.check_permission(Action::OfferRoom, address)?;
         save(body).await?;
         bridge.record_room_offer(RoomOffer { address, bytes: length });
         Ok(())

@@ -4,7 +4,7 @@
 
 use super::http::text_response;
 use super::room::read_body;
-use crate::access::PermissionError;
+use crate::access::{Action, PermissionError};
 use crate::bridge::Bridge;
 use crate::connection::Stream;
 use serde::{Deserialize, Serialize};
@@ -118,7 +118,7 @@ pub(super) async fn receive(
     length: usize,
 ) -> Vec<u8> {
     let result = async {
-        bridge.check_form_answer(address)?;
+        bridge.check_permission(Action::AnswerForm, address)?;
         let save = save.ok_or(TlxError::NotKept)?;
         let body = timeout(TLX_TIMEOUT, read_body(stream, first, length));
         let body = body.await.map_err(|_| TlxError::Slow)?.map_err(|_| TlxError::Slow)?;

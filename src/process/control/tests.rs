@@ -337,17 +337,38 @@ fn a_file_of_denied_addresses_that_cannot_be_read_sets_the_emergency_stop() {
     }
 }
 
+fn numbered_lines(count: usize) -> String {
+    (0..count).map(|i| format!("10.0.{}.{}\n", i / 256, i % 256)).collect()
+}
+
 #[test]
 fn more_denied_addresses_than_are_kept_set_the_emergency_stop() {
     for (count, is_stopped) in [(ADDRESSES_MAX, false), (ADDRESSES_MAX + 1, true)] {
         let folder = tempfile::tempdir().unwrap();
         let run = run_in(folder.path());
-        let lines: String = (0..count).map(|i| format!("10.0.{}.{}\n", i / 256, i % 256)).collect();
-        std::fs::write(saved_state::denied_file(&run), lines).unwrap();
+        std::fs::write(saved_state::denied_file(&run), numbered_lines(count)).unwrap();
         let bridge = Bridge::new(run.config.bridge.clone(), 2, |_, _| {}).unwrap();
         restore_files(&bridge, &run, DiskStorage, Monotonic(0));
         assert_eq!((bridge.is_stopped(), bridge.denied_addresses().len()), (is_stopped, ADDRESSES_MAX));
     }
+}
+
+#[test]
+fn who_has_no_place_among_the_denied_is_not_allowed_after_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path());
+    std::fs::write(saved_state::denied_file(&run), numbered_lines(ADDRESSES_MAX)).unwrap();
+    let disk = StalledDisk::new();
+    disk.set_open(true);
+    let control = control_on(&run, &disk);
+    let address = IpAddr::from([10, 1, 0, 7]);
+    block_on(answer(&control, Request::Allow(address), now)).unwrap();
+    let why = block_on(answer(&control, Request::Deny(address), now)).unwrap_err();
+    assert!(why.contains("NOT denied") && why.contains("--trust-lan"), "{why}");
+    drop(control);
+    let bridge = Bridge::new(run.config.bridge.clone(), 2, |_, _| {}).unwrap();
+    restore_files(&bridge, &run, DiskStorage, Monotonic(0));
+    assert!(!bridge.allowed_addresses().contains(&address));
 }
 
 #[test]
