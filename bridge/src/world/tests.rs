@@ -207,7 +207,7 @@ fn a_driver_that_is_started_again_is_another_writer_of_odometry() {
 #[test]
 fn a_client_that_comes_back_at_the_origin_is_another_writer_of_odometry() {
     let (mut world, messages) = world();
-    let mut send = |world: &mut ExternalWorld, client: SourceId, tenths: i64, x: f64| {
+    let send = |world: &mut ExternalWorld, client: SourceId, tenths: i64, x: f64| {
         let stamp = tenths * SECOND / 10;
         let tree = vec![edge("odom_1", "base_footprint_1", stamp, x, LEVEL)];
         receive_tree(world, client, stamp, tree).unwrap();
