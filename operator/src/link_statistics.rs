@@ -20,23 +20,23 @@ const ARRIVALS_MAX: usize = 8192;
 pub struct Percentiles {
     /// Number of values.
     pub count: usize,
-    /// 50th percentile, in the unit of the values.
-    pub median: f64,
+    /// 50th percentile, in the unit of the values; `None` without values, as the others.
+    pub median: Option<f64>,
     /// 95th percentile, in the unit of the values.
-    pub p95: f64,
+    pub p95: Option<f64>,
     /// 99th percentile, in the unit of the values.
-    pub p99: f64,
+    pub p99: Option<f64>,
     /// Largest value of the set.
-    pub max: f64,
+    pub max: Option<f64>,
 }
 
 impl Percentiles {
-    /// Nearest-rank percentiles; all 0 if there are no values.
+    /// Nearest-rank percentiles; none if there are no values.
     pub fn of(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
         let rank = |share: f64| {
             let rank = (share * values.len() as f64).ceil() as usize;
-            values.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
+            values.get(rank.saturating_sub(1)).copied()
         };
         Self { count: values.len(), median: rank(0.5), p95: rank(0.95), p99: rank(0.99), max: rank(1.0) }
     }

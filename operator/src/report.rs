@@ -110,7 +110,7 @@ impl fmt::Display for OperatorReport {
         match &self.map {
             Some(map) => writeln!(
                 f,
-                "merged map: {} x {} cells of {} m, {:.1} m2 free, {:.1} m2 occupied",
+                "merged map: {} x {} cells of {:.3} m, {:.1} m2 free, {:.1} m2 occupied",
                 map.width, map.height, map.resolution_m, map.free_m2, map.occupied_m2
             )?,
             None => writeln!(f, "merged map: none received")?,
@@ -126,9 +126,11 @@ impl fmt::Display for OperatorReport {
 
 fn write_stream(f: &mut fmt::Formatter<'_>, name: &str, report: &StreamReport) -> fmt::Result {
     let Percentiles { median, p95, p99, max, .. } = report.jitter_ms;
-    writeln!(
-        f,
-        "{name}: {} frames, {} received, {} lost, jitter {median:.3} ms, p95 {p95:.3}, p99 {p99:.3}, max {max:.3}",
-        report.streams, report.received, report.lost
-    )
+    write!(f, "{name}: {} frames, {} received, {} lost, ", report.streams, report.received, report.lost)?;
+    match (median, p95, p99, max) {
+        (Some(median), Some(p95), Some(p99), Some(max)) => {
+            writeln!(f, "jitter {median:.3} ms, p95 {p95:.3}, p99 {p99:.3}, max {max:.3}")
+        }
+        _ => writeln!(f, "jitter unknown"),
+    }
 }

@@ -80,6 +80,18 @@ impl FleetArgs {
         Ok(config)
     }
 
+    /// Options that were given and do nothing in this world: those of simulated robots elsewhere.
+    pub fn unused_in(&self, world: RobotSource) -> Vec<&'static str> {
+        let given = [
+            ("--room", self.room.is_some()),
+            ("--people", self.people.is_some()),
+            ("--doors", self.doors.is_some()),
+            ("--boxes", self.boxes.is_some()),
+        ];
+        let is_unused = |(_, is_given): &(&str, bool)| *is_given && world != RobotSource::Simulator;
+        given.into_iter().filter(is_unused).map(|(option, _)| option).collect()
+    }
+
     fn apply(&self, config: &mut FleetConfig) {
         let fleet = &mut config.fleet;
         if let Some(robots) = self.robots {
@@ -127,5 +139,13 @@ mod tests {
         assert_eq!(config(Some(1)).unwrap().fleet.starts, [[0.0; 3]]);
         let said = config(Some(3)).unwrap_err().to_string();
         assert!(said.contains("2 poses for 3 robots"), "{said}");
+    }
+
+    #[test]
+    fn options_of_simulated_robots_are_named_where_there_are_none() {
+        let args = FleetArgs { people: Some(3), room: Some("office:7".into()), ..FleetArgs::default() };
+        assert_eq!(args.unused_in(RobotSource::Headset), ["--room", "--people"]);
+        assert!(args.unused_in(RobotSource::Simulator).is_empty());
+        assert!(FleetArgs::default().unused_in(RobotSource::Ros).is_empty());
     }
 }

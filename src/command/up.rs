@@ -180,6 +180,10 @@ impl UpArgs {
         if let Some(warning) = discovery.map_err(ValueError::from)?.and_then(|discovery| discovery.warning) {
             tracing::warn!("{warning}");
         }
+        let unused = self.fleet.unused_in(config.world);
+        if !unused.is_empty() {
+            tracing::warn!("{} without effect: only simulated robots have a room", unused.join(", "));
+        }
         Ok(config)
     }
 
