@@ -161,7 +161,7 @@ impl Bridge {
 
     /// Exchanges clients' topics and services with ROS: sets where commands for the ROS 2 endpoint go. It must not call the bridge.
     ///
-    /// Call it before clients connect. What the endpoint tells comes back by [`Bridge::receive_ros`].
+    /// Call it before clients connect. Its events come back by [`Bridge::receive_ros`].
     pub fn on_ros_command(&self, sink: impl FnMut(RosCommand) + 'static) {
         *self.on_ros_command.borrow_mut() = Box::new(sink);
         self.update(|core| {
@@ -252,7 +252,7 @@ impl Bridge {
         self.update(|core| core.receive_slam_response(robot, response, is_ours));
     }
 
-    /// Handles what the ROS 2 endpoint tells: messages, requests, responses, and changes of the ROS graph.
+    /// Handles an event of the ROS 2 endpoint: messages, requests, responses, and changes of the ROS graph.
     pub fn receive_ros(&self, event: RosEvent, now: Monotonic) {
         self.update(|core| {
             core.commands.set_sender(CommandSource::ROS2);

@@ -128,8 +128,8 @@ pub enum Incoming<'a> {
     Clock(Reader<'a>),
 }
 
-/// The origin of one message: who sent it, by which clock, and when it arrived.
-struct Origin<'a> {
+/// The context of one message: who sent it, by which clock, and when it arrived.
+struct MessageContext<'a> {
     source: SourceId,
     publisher: Option<PublisherId>,
     clock: &'a mut SourceClock,
@@ -198,28 +198,28 @@ impl ExternalWorld {
         received: Stamp,
     ) -> Result<(), WorldError> {
         let Sender { source, publisher } = sender.into();
-        let mut origin = Origin { source, publisher, clock, received };
+        let mut context = MessageContext { source, publisher, clock, received };
         match message {
-            Incoming::Scan(robot, from) => self.receive_scan(&mut origin, robot, from),
-            Incoming::Transforms(from) => self.receive_transforms(&mut origin, None, &from),
+            Incoming::Scan(robot, from) => self.receive_scan(&mut context, robot, from),
+            Incoming::Transforms(from) => self.receive_transforms(&mut context, None, &from),
             Incoming::RobotTransforms(robot, from) => {
-                self.receive_transforms(&mut origin, Some(robot), &from)
+                self.receive_transforms(&mut context, Some(robot), &from)
             }
             Incoming::StaticTransforms(of, from) => self.receive_static_transforms(source, of, &from),
-            Incoming::Odometry(robot, from) => self.receive_odometry(&mut origin, robot, from),
-            Incoming::Battery(robot, from) => self.receive_battery(&origin, robot, from),
-            Incoming::Clock(from) => self.receive_clock(&mut origin, from),
+            Incoming::Odometry(robot, from) => self.receive_odometry(&mut context, robot, from),
+            Incoming::Battery(robot, from) => self.receive_battery(&context, robot, from),
+            Incoming::Clock(from) => self.receive_clock(&mut context, from),
         }
     }
 
     fn receive_scan(
         &mut self,
-        origin: &mut Origin<'_>,
+        context: &mut MessageContext<'_>,
         robot: RobotId,
         mut from: Reader<'_>,
     ) -> Result<(), WorldError> {
-        self.check_source(origin, robot)?;
-        if !self.is_of_one_publisher(origin, robot, RobotTopic::Scan)? {
+        self.check_source(context, robot)?;
+        if !self.is_of_one_publisher(context, robot, RobotTopic::Scan)? {
             return Ok(());
         }
         let frame = read::laser_scan(&mut from, &mut self.scan)?;
@@ -229,23 +229,23 @@ impl ExternalWorld {
         if state.repeated_scan.is_frozen(&self.scan, odom_from_base) {
             return Err(WorldError::FrozenScans { robot });
         }
-        if !self.mount_scan(origin, robot, frame)? {
+        if !self.mount_scan(context, robot, frame)? {
             return Ok(());
         }
         let sent = self.scan.header.stamp;
-        let stamp = origin.clock.convert(sent, origin.received)?;
+        let stamp = context.clock.convert(sent, context.received)?;
         if let Some(before) = self.robots[robot.index()].last_scan.filter(|before| stamp <= *before) {
             if !self.was_set_back(robot, stamp - before, stamp) {
                 return Err(ScanError::NotNewer { stamp_s: sent.seconds() }.into());
             }
-            let step_s = self.robots[robot.index()].watch.clock_step_s(stamp, origin.received);
-            self.restart(origin.source, robot, step_s.unwrap_or(stamp - before));
+            let step_s = self.robots[robot.index()].watch.clock_step_s(stamp, context.received);
+            self.restart(context.source, robot, step_s.unwrap_or(stamp - before));
         }
         let has_own_time = self.clock_source.is_some();
         let state = &mut self.robots[robot.index()];
-        state.watch.add_scan(robot, stamp, origin.received, has_own_time, &mut self.notices);
+        state.watch.add_scan(robot, stamp, context.received, has_own_time, &mut self.notices);
         state.set_back = None;
-        (state.last_scan, state.source) = (Some(stamp), Some((origin.source, origin.received)));
+        (state.last_scan, state.source) = (Some(stamp), Some((context.source, context.received)));
         self.scan.header.stamp = stamp;
         (self.sink)(WorldMessage::Scan(robot, &self.scan));
         Ok(())
@@ -257,27 +257,27 @@ impl ExternalWorld {
     /// estimate of the motion, as of the wheels alone beside that of robot_localization.
     fn receive_odometry(
         &mut self,
-        origin: &mut Origin<'_>,
+        context: &mut MessageContext<'_>,
         robot: RobotId,
         mut from: Reader<'_>,
     ) -> Result<(), WorldError> {
-        self.check_source(origin, robot)?;
+        self.check_source(context, robot)?;
         let transform = read::odometry(&mut from)?;
         self.mounts.learn_odometry(robot, transform.frame_id, transform.child_frame_id);
         let parent_from_child = check_transform(RobotFrame::Odom, RobotFrame::BaseFootprint, &transform)?;
-        let stamp = origin.clock.convert(transform.stamp, origin.received)?;
+        let stamp = context.clock.convert(transform.stamp, context.received)?;
         let state = &mut self.robots[robot.index()];
-        state.source = Some((origin.source, origin.received));
-        if state.last_transform.is_some_and(|last| origin.received - last < SOURCE_TIMEOUT_S) {
+        state.source = Some((context.source, context.received));
+        if state.last_transform.is_some_and(|last| context.received - last < SOURCE_TIMEOUT_S) {
             return Ok(());
         }
-        if !self.is_of_one_publisher(origin, robot, RobotTopic::Odometry)? {
-            self.note_waiting(origin, robot, transform.stamp, &parent_from_child, false)?;
+        if !self.is_of_one_publisher(context, robot, RobotTopic::Odometry)? {
+            self.note_waiting(context, robot, transform.stamp, &parent_from_child, false)?;
             return Ok(());
         }
         let state = &self.robots[robot.index()];
         let is_new = state.last_pose.is_none_or(|last| stamp > last.stamp);
-        self.send_odometry(origin, robot, [transform.stamp, stamp], &parent_from_child, false)?;
+        self.send_odometry(context, robot, [transform.stamp, stamp], &parent_from_child, false)?;
         if is_new {
             let transforms = &mut self.transforms[robot.index()];
             (transforms.header.stamp, transforms.len, transforms.transforms[0]) =
@@ -287,12 +287,16 @@ impl ExternalWorld {
         Ok(())
     }
 
-    fn receive_clock(&mut self, origin: &mut Origin<'_>, mut from: Reader<'_>) -> Result<(), WorldError> {
-        if is_held_by_other(self.clock_source, origin) {
+    fn receive_clock(
+        &mut self,
+        context: &mut MessageContext<'_>,
+        mut from: Reader<'_>,
+    ) -> Result<(), WorldError> {
+        if is_held_by_other(self.clock_source, context) {
             return Err(WorldError::OtherSource { what: "the clock".into() });
         }
-        let stamp = origin.clock.convert(read::stamp(&mut from, "clock")?, origin.received)?;
-        self.clock_source = Some((origin.source, origin.received));
+        let stamp = context.clock.convert(read::stamp(&mut from, "clock")?, context.received)?;
+        self.clock_source = Some((context.source, context.received));
         // The fleet's time does not run backwards for a message that is late, only if the clock was set back.
         if stamp > self.clock {
             self.clock = stamp;
@@ -320,12 +324,12 @@ impl ExternalWorld {
         self.notices.take()
     }
 
-    fn check_source(&self, origin: &Origin<'_>, robot: RobotId) -> Result<(), WorldError> {
+    fn check_source(&self, context: &MessageContext<'_>, robot: RobotId) -> Result<(), WorldError> {
         let robot_count = self.names.count();
         if robot.number() > robot_count {
             return Err(TransformError::NoSuchRobot { robot_count }.into());
         }
-        if is_held_by_other(self.robots[robot.index()].source, origin) {
+        if is_held_by_other(self.robots[robot.index()].source, context) {
             return Err(WorldError::OtherSource { what: robot.to_string() });
         }
         Ok(())
@@ -334,19 +338,19 @@ impl ExternalWorld {
     /// Sends a robot's pose by its wheels, with the velocity since the pose before. The stamps are the source's and the run's.
     fn send_odometry(
         &mut self,
-        origin: &Origin<'_>,
+        context: &MessageContext<'_>,
         robot: RobotId,
         [sent, stamp]: [Stamp; 2],
         transform: &RobotFrameTransform,
         is_of_transform: bool,
     ) -> Result<(), TransformError> {
         let odom_from_base = planar_pose(transform)?;
-        if self.begins_anew(origin, robot, sent, &odom_from_base, is_of_transform) {
+        if self.begins_anew(context, robot, sent, &odom_from_base, is_of_transform) {
             self.robots[robot.index()].last_pose = None;
             (self.sink)(WorldMessage::OdometryRestart(robot));
         }
         let state = &mut self.robots[robot.index()];
-        state.watch.add_odometry(origin.received);
+        state.watch.add_odometry(context.received);
         let mut odometry = Odometry { odom_from_base, ..Odometry::default() };
         odometry.header.stamp = stamp;
         if let Some(last) = state.last_pose {
@@ -368,8 +372,8 @@ impl ExternalWorld {
     }
 }
 
-fn is_held_by_other(holder: Option<(SourceId, Stamp)>, origin: &Origin<'_>) -> bool {
-    holder.is_some_and(|(of, at)| of != origin.source && origin.received - at < SOURCE_TIMEOUT_S)
+fn is_held_by_other(holder: Option<(SourceId, Stamp)>, context: &MessageContext<'_>) -> bool {
+    holder.is_some_and(|(of, at)| of != context.source && context.received - at < SOURCE_TIMEOUT_S)
 }
 
 #[cfg(test)]

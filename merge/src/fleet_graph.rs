@@ -158,7 +158,7 @@ impl FleetPoseGraph {
     /// # Errors
     /// [`SubmapRejected`] says why the poses are not taken.
     pub fn update_poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), SubmapRejected> {
-        self.check_run(robot, poses.run)?;
+        self.check_map_frame(robot, poses.map_frame)?;
         let source = (poses.header.incarnation, poses.generation);
         self.check_source(robot, source)?;
         let index = robot.index();

@@ -97,7 +97,7 @@ pub struct SubmapPoses {
     /// Number of the frame `robotK/map`: of the run on the robot's own machine, and of the map that was loaded in it; 0: the robot is of
     /// this machine's run, and no map of another frame was loaded. With another number the robot may be anywhere, and what was known of
     /// the frame's place is not valid any more.
-    pub run: u32,
+    pub map_frame: u32,
     /// Storage of the transforms to `robotK/map` from each submap. Read it by [`SubmapPoses::poses`].
     pub robot_map_from_submap: [Pose2; SUBMAPS_MAX],
     /// Storage of the relations in the robot's own graph. Read it by [`SubmapPoses::edges`].

@@ -36,7 +36,7 @@ use tokio::io::unix::AsyncFd;
 const BORROWED_MAX: usize = 2;
 /// Processes that may open one channel at a time: all simulators a robot's true pose; telemetry, the launcher and tools are
 /// added.
-const NODES_MAX: usize = ROBOTS_MAX + 16;
+const PARTICIPANTS_MAX: usize = ROBOTS_MAX + 16;
 /// Time in which every reader has looked at its channels: ten periods of the recorder, which looks least often.
 const READERS_LOOK: Duration = Duration::from_millis(200);
 /// Listeners that one thread may wait for: merge and telemetry have a few for each robot.
@@ -121,7 +121,7 @@ impl Participant {
             .publish_subscribe::<Shared<T>>()
             .max_publishers(channel.row.writers_max)
             .max_subscribers(channel.row.readers_max)
-            .max_nodes(NODES_MAX)
+            .max_nodes(PARTICIPANTS_MAX)
             .history_size(channel.row.history)
             .subscriber_max_buffer_size(channel.row.depth)
             .subscriber_max_borrowed_samples(BORROWED_MAX)
@@ -160,7 +160,7 @@ impl Participant {
             .event()
             .max_listeners(channel.row.readers_max)
             .max_notifiers(channel.row.writers_max)
-            .max_nodes(NODES_MAX)
+            .max_nodes(PARTICIPANTS_MAX)
             .open_or_create()
             .map_err(failed("cannot open the event of", &channel.name))
     }

@@ -62,7 +62,7 @@ impl<P: Ports> SubmapPublisher<P> {
         let (submaps, frame) = (&self.submaps, self.frame);
         self.poses.send_with(|poses| {
             submaps.poses(back, poses);
-            poses.run = frame;
+            poses.map_frame = frame;
         });
         self.sending = true;
         self.warn_about_limits(back);

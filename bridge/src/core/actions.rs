@@ -63,7 +63,7 @@ impl Core {
     ///
     /// Call it when the exchange begins, and when the ROS graph has changed.
     pub(super) fn update_actions(&mut self) {
-        if !self.relay.is_open() || !self.config.may_ros_drive() {
+        if !self.relay.has_endpoint() || !self.config.may_ros_drive() {
             return;
         }
         for index in 0..self.offered.actions.servers().len() {
@@ -289,7 +289,7 @@ impl Core {
 
     /// Publishes the status of goals that has changed, and answers the requests for results that are known.
     fn publish_action_states(&mut self) {
-        if !self.relay.is_open() {
+        if !self.relay.has_endpoint() {
             return;
         }
         for index in 0..self.offered.actions.servers().len() {

@@ -131,7 +131,7 @@ impl Core {
 
     /// Publishes a client's message in ROS, if the client may.
     pub(super) fn relay_message(&mut self, client: ClientId, id: TopicId, payload: &[u8]) {
-        if !self.relay.is_open() {
+        if !self.relay.has_endpoint() {
             return;
         }
         let Some(topic) = self.router.topics.get(id) else { return };
@@ -183,7 +183,7 @@ impl Core {
             if !is_subscribed || has_client || has_node {
                 continue;
             }
-            let hint = if self.relay.is_open() {
+            let hint = if self.relay.has_endpoint() {
                 "no client and no ROS 2 node does"
             } else {
                 "no client does, and ROS 2 is not connected (mr-slam up --ros-domain N)"

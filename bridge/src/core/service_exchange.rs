@@ -27,7 +27,7 @@ impl Core {
     /// A ROS 2 service of several types is left out: it cannot be called.
     pub fn callable_services(&self) -> BTreeMap<&str, &str> {
         let mut callable: BTreeMap<&str, &str> = BTreeMap::new();
-        if self.relay.is_open() {
+        if self.relay.has_endpoint() {
             for (name, types) in &self.relay.graph().services {
                 if let [service_type] = &types[..] {
                     callable.insert(name.as_str(), service_type.as_str());
@@ -47,12 +47,12 @@ impl Core {
     /// Returns whether a client may publish, offer or call a name in ROS.
     pub(super) fn may_use_ros(&self, client: ClientId, name: &str) -> bool {
         let peer = self.router.client(client).map(|client| client.peer.ip());
-        self.relay.is_open_name(name) || peer.is_some_and(|ip| self.access.may(Action::Drive, ip))
+        self.relay.is_public_name(name) || peer.is_some_and(|ip| self.access.may(Action::Drive, ip))
     }
 
     /// Calls and offers in ROS what clients call and offer, as far as they may. Call it when either has changed.
     pub fn update_services(&mut self) {
-        if !self.relay.is_open() {
+        if !self.relay.has_endpoint() {
             return;
         }
         let is_called = |name: &str, callers: &[ClientId]| {
@@ -81,7 +81,7 @@ impl Core {
 
     /// Tells a client why the service that it offers is not offered to ROS.
     pub(super) fn report_unoffered(&mut self, client: ClientId, name: &str) {
-        if !self.relay.is_open() || self.relay.services().is_offered(name) {
+        if !self.relay.has_endpoint() || self.relay.services().is_offered(name) {
             return;
         }
         let limit = self.relay.services().services_max();

@@ -99,7 +99,7 @@ impl Core {
     /// Fails if no ROS 2 node offers the service, or if the client may not call it there.
     fn check_ros_call(&mut self, id: ClientId, name: &str, spelled: &str) -> Result<(), CallError> {
         let missing = |hint| ServiceError::NoProvider { name: spelled.to_owned(), hint };
-        if !self.relay.is_open() {
+        if !self.relay.has_endpoint() {
             return Err(
                 missing("no client does, and ROS 2 is not connected (mr-slam up --ros-domain N)").into()
             );
@@ -113,7 +113,7 @@ impl Core {
             let (name, requested) = (spelled.to_owned(), requested.to_owned());
             return Err(ServiceError::OtherType { name, existing, requested }.into());
         }
-        if !self.relay.is_open_name(name) {
+        if !self.relay.is_public_name(name) {
             self.check_call(id)?;
         }
         if !self.relay.services().is_called(name) {

@@ -88,7 +88,7 @@ impl RelayTable {
     }
 
     /// Returns whether there is a ROS 2 endpoint.
-    pub fn is_open(&self) -> bool {
+    pub fn has_endpoint(&self) -> bool {
         self.is_open
     }
 
@@ -122,7 +122,7 @@ impl RelayTable {
     }
 
     /// Returns whether every client may exchange a topic or service with ROS.
-    pub fn is_open_name(&self, name: &str) -> bool {
+    pub fn is_public_name(&self, name: &str) -> bool {
         self.open_names.iter().any(|open| open == name)
     }
 

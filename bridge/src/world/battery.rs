@@ -1,6 +1,6 @@
 //! Batteries of an external world's robots: the newest state of each goes on once a second.
 
-use super::{ExternalWorld, Origin, RobotTopic, WorldError, WorldMessage};
+use super::{ExternalWorld, MessageContext, RobotTopic, WorldError, WorldMessage};
 use msg::{Battery, Header, RobotId, Stamp};
 use ros_messages::battery::read_battery;
 use ros_messages::cdr::Reader;
@@ -28,19 +28,19 @@ impl ExternalWorld {
     /// the one that sends scans.
     pub(super) fn receive_battery(
         &mut self,
-        origin: &Origin<'_>,
+        context: &MessageContext<'_>,
         robot: RobotId,
         mut from: Reader<'_>,
     ) -> Result<(), WorldError> {
-        self.check_source(origin, robot)?;
-        if !self.is_of_one_publisher(origin, robot, RobotTopic::Battery)? {
+        self.check_source(context, robot)?;
+        if !self.is_of_one_publisher(context, robot, RobotTopic::Battery)? {
             return Ok(());
         }
         let mut battery = read_battery(&mut from)?;
         // Its driver's clock does not matter: the state is as old as its arrival.
-        battery.header = Header { stamp: origin.received, ..Header::default() };
+        battery.header = Header { stamp: context.received, ..Header::default() };
         self.robots[robot.index()].battery.held = Some(battery);
-        self.send_batteries(origin.received);
+        self.send_batteries(context.received);
         Ok(())
     }
 

@@ -10,7 +10,7 @@
 
 use super::frame_tree::{FrameTrees, without_slash};
 use super::notices::is_due;
-use super::{DDS_SOURCE, ExternalWorld, Notices, Origin, SourceId, WorldError};
+use super::{DDS_SOURCE, ExternalWorld, MessageContext, Notices, SourceId, WorldError};
 use msg::{Pose2, RobotFrame, RobotFrameTransform, RobotId, Stamp};
 use ros_messages::names::{FleetFrame, RobotNames};
 use ros_messages::spatial_pose::{ScannerMount, SpatialPose, TILT_MAX_DEG};
@@ -145,18 +145,18 @@ impl ExternalWorld {
     /// Puts the scan that is being decoded on its robot. Returns whether it is taken: not while its mount may still come.
     pub(super) fn mount_scan(
         &mut self,
-        origin: &Origin<'_>,
+        context: &MessageContext<'_>,
         robot: RobotId,
         frame: &str,
     ) -> Result<bool, WorldError> {
         let mount = &mut self.mounts.robots[robot.index()];
         set_name(&mut mount.scan_frame, frame);
-        let is_waiting = origin.received - *mount.since.get_or_insert(origin.received) < MOUNT_WAIT_S;
+        let is_waiting = context.received - *mount.since.get_or_insert(context.received) < MOUNT_WAIT_S;
         let known_before = mount
             .reported
             .map(|(reported, _)| reported)
             .filter(|reported| matches!(reported, Placement::Known(_)));
-        let found = self.find_mount(origin.source, robot);
+        let found = self.find_mount(context.source, robot);
         let mount = &mut self.mounts.robots[robot.index()];
         let placement = match found {
             Ok(Ok((pose, found))) => {
@@ -166,7 +166,7 @@ impl ExternalWorld {
             // A source that has come back sends its transforms soon.
             Ok(Err(_)) if is_waiting => match known_before {
                 Some(known) => known,
-                None if origin.source == DDS_SOURCE => return Ok(false),
+                None if context.source == DDS_SOURCE => return Ok(false),
                 None => {
                     self.scan.set_mount(None);
                     return Ok(true);
@@ -189,7 +189,7 @@ impl ExternalWorld {
             self.scan.mirror();
         }
         self.scan.set_mount(known.map(|mount| mount.base_from_scan));
-        self.report_mount(robot, placement, origin.received);
+        self.report_mount(robot, placement, context.received);
         Ok(true)
     }
 

@@ -2,7 +2,7 @@
 //!
 //! Scans of two places make one wrong map, and mixed odometry makes a robot jump. So nothing is taken while two send.
 
-use super::{ExternalWorld, Origin, SOURCE_TIMEOUT_S, SourceId, WorldError};
+use super::{ExternalWorld, MessageContext, SOURCE_TIMEOUT_S, SourceId, WorldError};
 use msg::{RobotId, Stamp};
 
 /// Identifier of a publisher among all of DDS (GUID).
@@ -88,13 +88,13 @@ impl ExternalWorld {
     /// Returns whether a message may be taken: its publisher is the only one of the topic.
     pub(super) fn is_of_one_publisher(
         &mut self,
-        origin: &Origin<'_>,
+        context: &MessageContext<'_>,
         robot: RobotId,
         topic: RobotTopic,
     ) -> Result<bool, WorldError> {
-        let Some(publisher) = origin.publisher else { return Ok(true) };
+        let Some(publisher) = context.publisher else { return Ok(true) };
         let publishers = &mut self.robots[robot.index()].publishers.0[topic as usize];
-        match publishers.receive(publisher, origin.received) {
+        match publishers.receive(publisher, context.received) {
             MessageUse::Taken => Ok(true),
             MessageUse::Waiting => Ok(false),
             MessageUse::Mixed => {

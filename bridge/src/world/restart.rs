@@ -7,7 +7,7 @@ use super::checks::{TransformError, planar_pose};
 use super::frozen::RepeatedScan;
 use super::publishers::PublisherId;
 use super::suspects::STEP_MESSAGES;
-use super::{ExternalWorld, Origin, RobotState, SentPose, SourceId};
+use super::{ExternalWorld, MessageContext, RobotState, SentPose, SourceId};
 use msg::{Pose2, RobotFrameTransform, RobotId, Stamp, pose::wrap_angle};
 use std::fmt;
 
@@ -93,8 +93,8 @@ pub(super) enum DriverId {
 
 impl DriverId {
     /// The sender of a message.
-    pub fn of(origin: &Origin<'_>) -> Self {
-        origin.publisher.map_or(Self::Client(origin.source), Self::Publisher)
+    pub fn of(context: &MessageContext<'_>) -> Self {
+        context.publisher.map_or(Self::Client(context.source), Self::Publisher)
     }
 }
 
@@ -164,7 +164,7 @@ impl ExternalWorld {
     /// connection that begins is a simulation that may have begun anew.
     pub(super) fn begins_anew(
         &mut self,
-        origin: &Origin<'_>,
+        context: &MessageContext<'_>,
         robot: RobotId,
         sent: Stamp,
         odom_from_base: &Pose2,
@@ -173,7 +173,7 @@ impl ExternalWorld {
         let state = &mut self.robots[robot.index()];
         let before = state.last_pose.filter(|last| last.is_of_transform == is_of_transform);
         let pose = FirstPose { sent, odom_from_base: *odom_from_base };
-        let first_of_next = state.drivers.take(DriverId::of(origin), is_of_transform, pose);
+        let first_of_next = state.drivers.take(DriverId::of(context), is_of_transform, pose);
         let way_to = |first: &FirstPose| Jump::between(&before?, first.sent, &first.odom_from_base);
         if first_of_next.is_some_and(|first| is_restart(&first.odom_from_base, way_to(&first))) {
             self.notices.push(format!("{robot}: its driver was started again: odometry has a new origin"));
@@ -185,22 +185,22 @@ impl ExternalWorld {
         };
         // That is no motion before a LiDAR that hangs.
         state.repeated_scan = RepeatedScan::default();
-        let begins_anew = origin.publisher.is_some();
-        state.watch.add_jump(robot, &jump, begins_anew, origin.received, &mut self.notices);
+        let begins_anew = context.publisher.is_some();
+        state.watch.add_jump(robot, &jump, begins_anew, context.received, &mut self.notices);
         begins_anew
     }
 
     /// Takes a pose of odometry that waits until it is known whether the publisher before has ended.
     pub(super) fn note_waiting(
         &mut self,
-        origin: &Origin<'_>,
+        context: &MessageContext<'_>,
         robot: RobotId,
         sent: Stamp,
         transform: &RobotFrameTransform,
         is_of_transform: bool,
     ) -> Result<(), TransformError> {
         let pose = FirstPose { sent, odom_from_base: planar_pose(transform)? };
-        self.robots[robot.index()].drivers.add_waiting(DriverId::of(origin), is_of_transform, pose);
+        self.robots[robot.index()].drivers.add_waiting(DriverId::of(context), is_of_transform, pose);
         Ok(())
     }
 

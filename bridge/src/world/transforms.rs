@@ -1,7 +1,7 @@
 //! The transforms of an external world: the robots' own frames for the fleet's channels, and where their LiDARs are.
 
 use super::checks::check_transform;
-use super::{ExternalWorld, Origin, RobotTopic, SourceId, TransformError, WorldError, WorldMessage};
+use super::{ExternalWorld, MessageContext, RobotTopic, SourceId, TransformError, WorldError, WorldMessage};
 use msg::{RobotFrame, RobotFrameTransform, RobotId, Stamp, TRANSFORMS_MAX};
 use ros_messages::cdr::Reader;
 use ros_messages::names::FleetFrame;
@@ -12,7 +12,7 @@ impl ExternalWorld {
     /// Takes transforms; `of`: all are this robot's.
     pub(super) fn receive_transforms(
         &mut self,
-        origin: &mut Origin<'_>,
+        context: &mut MessageContext<'_>,
         of: Option<RobotId>,
         from: &Reader<'_>,
     ) -> Result<(), WorldError> {
@@ -21,8 +21,8 @@ impl ExternalWorld {
         self.transforms.iter_mut().for_each(|transforms| transforms.len = 0);
         let mut result = Ok(());
         read::transforms(&mut from.clone(), |transform| {
-            self.mounts.trees.record(origin.source, of, &transform);
-            let taken = self.receive_transform(origin, of, &transform);
+            self.mounts.trees.record(context.source, of, &transform);
+            let taken = self.receive_transform(context, of, &transform);
             if result.is_ok() {
                 result = taken;
             }
@@ -71,7 +71,7 @@ impl ExternalWorld {
     /// Takes one transform, if it is between the fleet's frames.
     fn receive_transform(
         &mut self,
-        origin: &mut Origin<'_>,
+        context: &mut MessageContext<'_>,
         of: Option<RobotId>,
         transform: &Transform<'_>,
     ) -> Result<(), WorldError> {
@@ -89,26 +89,26 @@ impl ExternalWorld {
             }
             return Ok(());
         };
-        self.check_source(origin, robot)?;
+        self.check_source(context, robot)?;
         let mut parent_from_child = check_transform(parent_frame, child_frame, transform).map_err(wrong)?;
         if child_frame == RobotFrame::BaseScan {
             parent_from_child = upright(parent_from_child);
         }
-        let stamp = origin.clock.convert(transform.stamp, origin.received)?;
+        let stamp = context.clock.convert(transform.stamp, context.received)?;
         let state = &mut self.robots[robot.index()];
-        state.source = Some((origin.source, origin.received));
+        state.source = Some((context.source, context.received));
         if parent_frame == RobotFrame::Odom
             && matches!(child_frame, RobotFrame::BaseFootprint | RobotFrame::BaseLink)
         {
             state.has_footprint |= child_frame == RobotFrame::BaseFootprint;
             if child_frame == RobotFrame::BaseFootprint || !state.has_footprint {
-                state.last_transform = Some(origin.received);
-                if !self.is_of_one_publisher(origin, robot, RobotTopic::OdometryTransform)? {
+                state.last_transform = Some(context.received);
+                if !self.is_of_one_publisher(context, robot, RobotTopic::OdometryTransform)? {
                     return self
-                        .note_waiting(origin, robot, transform.stamp, &parent_from_child, true)
+                        .note_waiting(context, robot, transform.stamp, &parent_from_child, true)
                         .map_err(wrong);
                 }
-                self.send_odometry(origin, robot, [transform.stamp, stamp], &parent_from_child, true)
+                self.send_odometry(context, robot, [transform.stamp, stamp], &parent_from_child, true)
                     .map_err(wrong)?;
             }
         }

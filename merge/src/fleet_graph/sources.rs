@@ -4,7 +4,7 @@ use super::*;
 
 impl FleetPoseGraph {
     /// Removes a robot whose machine is in another run than before: the frame of its map is another one.
-    pub(super) fn check_run(&mut self, robot: RobotId, run: u32) -> Result<(), SubmapRejected> {
+    pub(super) fn check_map_frame(&mut self, robot: RobotId, run: u32) -> Result<(), SubmapRejected> {
         let known = self.robots.get_mut(robot.index()).ok_or(SubmapRejected::UnknownRobot(robot))?;
         if known.run.replace(run).is_some_and(|before| before != run) {
             self.remove_robot(robot);

@@ -97,7 +97,7 @@ fn send_of(
             poses.edges[before] = SubmapEdge { a: before as u32, b: id as u32, information };
         }
         (poses.len, poses.edges_len) = (id as u32 + 1, id as u32);
-        (poses.run, poses.header.incarnation) = (run, incarnation);
+        (poses.map_frame, poses.header.incarnation) = (run, incarnation);
         fleet.update_poses(robot, &poses).unwrap();
         fleet.add_submap(robot, &submap).unwrap();
         work(fleet);

@@ -75,7 +75,9 @@ pub enum NavigationFailure {
     #[error("the goal lies in exclusion zone {0}")]
     GoalExcluded(u32),
     /// No way that is wide enough leads to the goal.
-    #[error("no way leads to the goal: unknown space, obstacles or zones lie between; exploring maps what is unknown")]
+    #[error(
+        "no way leads to the goal: unknown space, obstacles or zones lie between; exploring maps what is unknown"
+    )]
     GoalUnreachable,
     /// The robot fits nowhere near its pose.
     #[error("obstacles or exclusion zones surround the robot")]

@@ -1,7 +1,7 @@
 //! Maps in shared memory: messages with the tiles that changed, and an event back to the writer with
 //! which a reader requests the whole map. [`msg::tiles`] defines the messages; this file transports them.
 
-use super::{BORROWED_MAX, Listener, NODES_MAX, Participant, Shared, failed, service_name};
+use super::{BORROWED_MAX, Listener, PARTICIPANTS_MAX, Participant, Shared, failed, service_name};
 use crate::channel::{Channel, Direction, MAP_MESSAGES_MAX};
 use crate::clock::now;
 use crate::held_signals::HeldSignals;
@@ -69,7 +69,7 @@ impl Participant {
             .user_header::<Shared<PatchHeader>>()
             .max_publishers(1)
             .max_subscribers(channel.row.readers_max)
-            .max_nodes(NODES_MAX)
+            .max_nodes(PARTICIPANTS_MAX)
             .history_size(channel.row.history)
             .subscriber_max_buffer_size(channel.row.depth)
             .subscriber_max_borrowed_samples(BORROWED_MAX)
@@ -87,7 +87,7 @@ impl Participant {
             .event()
             .max_listeners(1)
             .max_notifiers(channel.row.readers_max)
-            .max_nodes(NODES_MAX)
+            .max_nodes(PARTICIPANTS_MAX)
             .open_or_create()
             .map_err(failed("cannot open the event to the writer of", &channel.name))
     }

@@ -41,7 +41,7 @@ const SERVICES: [(&str, &str, Service); 7] = [
 pub struct PlayerServices {
     id: ClientId,
     parser: Parser,
-    /// Number of the call whose request comes next.
+    /// Call that the last `__request` frame announced; `None` between calls.
     call: Option<Call>,
     /// Whether people were told that the services are not offered.
     is_lost: bool,

@@ -367,7 +367,7 @@ impl<P: Ports> RobotMirror<P> {
         match self.unpublished.poses.take() {
             Some(mut poses) => {
                 poses.generation = poses.generation.wrapping_add(self.numbers.generation);
-                poses.run = ::link::run_and_frame(self.numbers.run, poses.run);
+                poses.map_frame = ::link::run_and_frame(self.numbers.run, poses.map_frame);
                 poses.header.stamp = self.clock.translate(poses.header.stamp);
                 self.channels.submap_poses.send(&poses);
             }

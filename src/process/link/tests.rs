@@ -309,16 +309,16 @@ fn a_robot_whose_machine_began_anew_is_told_from_one_whose_link_did() {
     let mut machines = Machines::new();
     (0..50).for_each(|x| machines.robot.draw(x, 50));
     machines.run(8.0);
-    let first = machines.base.submap_poses.newest().expect("poses say the run").run;
+    let first = machines.base.submap_poses.newest().expect("poses say the frame").map_frame;
     machines.replace_robot(3, 1);
     (0..50).for_each(|x| machines.robot.draw(x, 50));
     machines.run(8.0);
-    assert!(machines.base.submap_poses.newest().is_none_or(|poses| poses.run == first));
+    assert!(machines.base.submap_poses.newest().is_none_or(|poses| poses.map_frame == first));
     machines.replace_robot(4, 2);
     machines.robot.draw(90, 50);
     machines.run(12.0);
     let poses = machines.base.submap_poses.newest().expect("merging is told at once");
-    assert!(poses.run != first && poses.poses().is_empty());
+    assert!(poses.map_frame != first && poses.poses().is_empty());
     assert!(machines.maps_are_equal() && machines.base.map.map().tiles().count() == 1);
 }
 

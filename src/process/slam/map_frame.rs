@@ -26,7 +26,7 @@ impl MapFrame {
                 "slam of {robot}: {}: {why}; merging looks for the place of its map",
                 file.display()
             );
-            // Counted numbers are small.
+            // The top bit marks a number that is made up: it differs from each counted one.
             clock.now().0 as u32 | 1 << 31
         };
         let number = sessions::read_frame(storage, &file).unwrap_or_else(|why| unknown(&why));

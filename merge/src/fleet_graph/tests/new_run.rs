@@ -8,7 +8,7 @@ fn a_robot_whose_machine_began_anew_has_no_place_until_its_new_map_is_joined() {
     assert!(fleet.map_from_robot_map(robot(2)).is_some());
     // Another run on the robot's machine: no submap yet, and nobody knows where the robot is.
     let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
-    (poses.run, poses.header.incarnation) = (7, 2);
+    (poses.map_frame, poses.header.incarnation) = (7, 2);
     fleet.update_poses(robot(2), &poses).unwrap();
     assert_eq!(fleet.map_from_robot_map(robot(2)), None);
     assert_eq!(edge(&fleet).state(), EdgeState::None);
@@ -36,7 +36,7 @@ fn the_frame_stays_when_the_only_robot_with_a_start_begins_anew() {
     work(&mut fleet);
     let place = fleet.map_from_robot_map(robot(2)).expect("joined to the first");
     let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
-    (poses.run, poses.header.incarnation) = (7, 2);
+    (poses.map_frame, poses.header.incarnation) = (7, 2);
     fleet.update_poses(robot(1), &poses).unwrap();
     work(&mut fleet);
     assert_eq!(fleet.map_from_robot_map(robot(1)), None);

@@ -148,7 +148,10 @@ fn merging_is_told_that_a_loaded_map_has_another_frame() {
         let (response, _) = asked.ask(SlamRequestKind::LoadSession, name);
         let text = response.text.as_str().to_owned();
         assert_eq!(response.outcome(), SlamOutcome::Done, "{text}");
-        (asked.poses.newest().expect("poses of the loaded map").run, text.contains("merging finds anew"))
+        (
+            asked.poses.newest().expect("poses of the loaded map").map_frame,
+            text.contains("merging finds anew"),
+        )
     };
     assert_eq!(load("own"), (0, false));
     let (first, is_reported) = load("other");
@@ -171,10 +174,10 @@ fn the_number_of_a_frame_is_saved_with_the_session_of_that_frame_and_not_for_a_l
     assert_eq!(response.outcome(), SlamOutcome::Refused, "{}", response.text.as_str());
     asked.does_disk_answer = true;
     asked.wait(20);
-    assert_eq!((saved_frame(&asked), asked.poses.newest().map_or(0, |poses| poses.run)), (0, 0));
+    assert_eq!((saved_frame(&asked), asked.poses.newest().map_or(0, |poses| poses.map_frame)), (0, 0));
     let (response, _) = asked.ask(SlamRequestKind::LoadSession, "other");
     assert_eq!(response.outcome(), SlamOutcome::Done, "{}", response.text.as_str());
-    assert_eq!((saved_frame(&asked), asked.poses.newest().map(|poses| poses.run)), (1, Some(1)));
+    assert_eq!((saved_frame(&asked), asked.poses.newest().map(|poses| poses.map_frame)), (1, Some(1)));
 }
 
 #[test]
