@@ -116,8 +116,8 @@ impl OdometryBuffer {
         core::mem::take(&mut self.unknown_motion)
     }
 
-    /// Returns, once, whether a driver was started again. That the robot stood meanwhile is an assumption: whoever started it may have put
-    /// the robot elsewhere.
+    /// Returns, once, whether a driver was started again. That the robot stood meanwhile is an assumption: it may have been put
+    /// elsewhere.
     pub fn take_restart(&mut self) -> bool {
         core::mem::take(&mut self.has_restarted)
     }

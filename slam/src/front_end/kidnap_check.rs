@@ -3,7 +3,7 @@
 //! Two comparisons tell that. One asks what a scan saw through, which needs beams in each degree, and holds whatever way odometry measured since the last
 //! scan. The other asks what is nearer and what is farther than before; it needs fewer beams, and wheels that stood.
 //!
-//! Whoever starts a driver again may have put the robot elsewhere, as a simulation that begins anew does, without a pause that shows it. Then
+//! A driver that is started again may stand elsewhere, as in a simulation that begins anew, without a pause that shows it. Then
 //! the scan is compared with another place near by, too.
 //!
 //! A robot that sees the same may have been carried, too, as along a corridor: then only the next scans tell where it is, and odometry does not.
