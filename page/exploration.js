@@ -11,7 +11,7 @@ import { readString } from "./messages.js";
  */
 
 /** States in which robots explore, or will again by themselves. */
-const RUNNING = ["exploring", "returning"];
+const RUNNING = ["exploring", "waiting", "returning"];
 
 /** Reads `/explore/state`, a std_msgs/String with JSON. @returns {Exploration} */
 export function readExploration(/** @type {DataView} */ view) {

@@ -35,7 +35,7 @@ pub enum InputPurpose {
     CancelNavigation(RobotId),
     /// Drives a robot on to the goal that was paused.
     ResumeNavigation(RobotId),
-    /// `true` explores with all robots, `false` stops the exploration.
+    /// `true` explores with all robots but those that drive to a person's goal, `false` stops the exploration.
     Explore,
     /// An area of the merged map to keep robots out of.
     AddZone,

@@ -24,7 +24,10 @@ pub fn report_of_silent_navigation(newest: &NavigationReport) -> Option<Navigati
 /// Returns the state of the exploration to publish in place of one that navigation has not repeated; `None` for states that it does
 /// not repeat.
 pub fn report_of_silent_exploration(newest: &ExplorationReport) -> Option<ExplorationReport> {
-    if !matches!(newest.status(), ExplorationStatus::Exploring | ExplorationStatus::Returning) {
+    if !matches!(
+        newest.status(),
+        ExplorationStatus::Exploring | ExplorationStatus::Returning | ExplorationStatus::Waiting
+    ) {
         return None;
     }
     let mut report = ExplorationReport { least_s: f64::NAN, most_s: f64::NAN, ..*newest };

@@ -11,7 +11,7 @@ pub const LEFTOVERS_MAX: usize = 16;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum ExplorationAction {
-    /// Explore with all robots, those included that a person has driven.
+    /// Explore with all robots but those that drive to a person's goal.
     Start = 1,
     /// Stop all robots that explore.
     Stop = 2,
@@ -62,11 +62,13 @@ pub enum ExplorationStatus {
     Stopped = 5,
     /// It cannot go on.
     Failed = 6,
+    /// No robot can explore now; it fails if this lasts.
+    Waiting = 7,
 }
 
 impl ExplorationStatus {
     /// All states in the order of their codes.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Idle,
         Self::Exploring,
         Self::Paused,
@@ -74,6 +76,7 @@ impl ExplorationStatus {
         Self::Completed,
         Self::Stopped,
         Self::Failed,
+        Self::Waiting,
     ];
 
     /// Returns the state's name in JSON.
@@ -86,6 +89,7 @@ impl ExplorationStatus {
             Self::Completed => "completed",
             Self::Stopped => "stopped",
             Self::Failed => "failed",
+            Self::Waiting => "waiting",
         }
     }
 
@@ -156,7 +160,7 @@ impl ExplorerState {
             Self::None | Self::Exploring | Self::Revisiting => None,
             Self::Manual => Some("taken by hand or stopped"),
             Self::Lost => Some("lost"),
-            Self::Silent => Some("silent"),
+            Self::Silent => Some("no scans or poses"),
             Self::Excluded => Some("in an exclusion zone"),
             Self::Enclosed => Some("on no floor of the map"),
         }

@@ -35,7 +35,7 @@ test("exploration says what it does, what is left and how long it takes", () => 
   assert.deepEqual(state({ left, left_count: 3 }).left, [{ x: 1, y: 2 }]);
   assert.equal(describeExploration(state({ left_count: 1, least_s: 30, most_s: 260 })), "exploring · 1 place left · done in 30 s to 4.3 min");
   assert.equal(describeExploration(state({ state: "failed", reason: "no map" })), "failed: no map");
-  assert.deepEqual(["exploring", "returning", "paused", "completed", "stopped", "idle"].map((name) => isExploring(state({ state: name }))), [true, true, false, false, false, false]);
+  assert.deepEqual(["exploring", "waiting", "returning", "paused", "completed", "stopped", "idle"].map((name) => isExploring(state({ state: name }))), [true, true, true, false, false, false, false]);
   assert.equal(isExploring(null), false);
   assert.throws(() => readExploration(text("[]")), RangeError);
 });

@@ -33,7 +33,7 @@ pub struct ExploreArgs {
     /// What to do
     #[arg(value_enum, default_value_t = ExploreAction::Start)]
     pub action: ExploreAction,
-    /// Return half a second after the fleet has begun; an error if it is paused or cannot explore
+    /// Return half a second after a robot explores; an error if it is paused, or if no robot can explore for 5 s
     #[arg(long)]
     pub no_wait: bool,
     /// Print the result as JSON
@@ -47,7 +47,7 @@ pub struct ExploreArgs {
 /// What `mr-slam explore` does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum ExploreAction {
-    /// Explore with all robots, those included that a person has taken
+    /// Explore with all robots but those that drive to a person's goal
     Start,
     /// Stop the robots that explore
     Stop,
@@ -103,7 +103,8 @@ pub fn run(args: &ExploreArgs, stop: &Stop) -> Result<(), ExploreError> {
     if args.action == ExploreAction::Stop && !taken_out(&report).is_empty() {
         output::note(&format!("the robots that explored stand{}", taken_out(&report)));
     }
-    let is_on_its_way = !report.status().is_final() && report.status() != ExplorationStatus::Paused;
+    let is_on_its_way =
+        matches!(report.status(), ExplorationStatus::Exploring | ExplorationStatus::Returning);
     if !is_start || report.status() == ExplorationStatus::Completed || (args.no_wait && is_on_its_way) {
         return Ok(());
     }
@@ -154,6 +155,7 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
         }
         if args.no_wait
             && let Some(report) = first.outcome()
+            && !may_begin(&report)
         {
             return Ok(report);
         }
@@ -167,6 +169,14 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
         }
         wait([], Monotonic(crate::clock::now().0 + POLL_NS));
     }
+}
+
+/// Whether no robot explores yet, and the exploration does not yet say that it waits for one, which it does after 5 s.
+fn may_begin(report: &ExplorationReport) -> bool {
+    let explores =
+        |index| matches!(report.robot(index), ExplorerState::Exploring | ExplorerState::Revisiting);
+    let is_begun = (0..ROBOTS_MAX).any(explores);
+    report.status() == ExplorationStatus::Exploring && !is_begun
 }
 
 /// Says which robots the end of an exploration does not stop, because they were taken out of it before; empty if there are none.
@@ -279,5 +289,23 @@ impl FleetHooks for ExplorationWatch {
 
     fn on_stop(&mut self) -> Option<serde_json::Value> {
         serde_json::to_value(ExplorationSummary::new(self.newest.as_ref()?, self.robots)).ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_start_is_judged_when_a_robot_explores_or_the_exploration_waits_for_one() {
+        let mut report =
+            ExplorationReport { status: ExplorationStatus::Exploring as u32, ..ExplorationReport::default() };
+        report.robots[0] = ExplorerState::Silent as u8;
+        assert!(may_begin(&report));
+        report.status = ExplorationStatus::Waiting as u32;
+        assert!(!may_begin(&report));
+        report.status = ExplorationStatus::Exploring as u32;
+        report.robots[1] = ExplorerState::Exploring as u8;
+        assert!(!may_begin(&report));
     }
 }

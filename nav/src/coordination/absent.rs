@@ -18,6 +18,14 @@ pub fn no_robot(robots: &[(RobotId, ExplorerState)]) -> String {
     with_robots("for 60 s no robot could be given a goal: ", robots)
 }
 
+/// For which robots an exploration waits, and what each of them lacks.
+pub fn waiting(robots: &[(RobotId, ExplorerState)]) -> String {
+    if absent(robots).next().is_none() {
+        return "no robot can explore: no robot has a map".into();
+    }
+    with_robots("no robot can explore: ", robots)
+}
+
 /// Robots without a part, each with the reason.
 fn absent(robots: &[(RobotId, ExplorerState)]) -> impl Iterator<Item = (RobotId, &'static str)> {
     robots.iter().filter_map(|(robot, state)| Some((*robot, state.absence()?)))
@@ -40,7 +48,7 @@ fn with_robots(start: &str, robots: &[(RobotId, ExplorerState)]) -> String {
     }
     let counted: Vec<String> =
         groups.iter().map(|(reason, names)| format!("{} {reason}", names.len())).collect();
-    format!("robots without a part: {}", counted.join(", "))
+    format!("without a part: {}", counted.join(", "))
 }
 
 #[cfg(test)]
@@ -67,6 +75,9 @@ mod tests {
         assert_eq!(completion(&robots[..1]), "nothing reachable is unknown");
         let text = no_robot(&robots[1..]);
         assert!(text.ends_with("a goal: robot2 (in an exclusion zone), robot3 (lost)"), "{text}");
+        let silent: Vec<_> = RobotId::first(2).map(|robot| (robot, ExplorerState::Silent)).collect();
+        assert_eq!(waiting(&silent), "no robot can explore: robot1, robot2 (no scans or poses)");
+        assert_eq!(waiting(&robots[..1]), "no robot can explore: no robot has a map");
     }
 
     #[test]
@@ -75,7 +86,7 @@ mod tests {
             for shift in 0..ABSENT.len() {
                 let state = |robot: RobotId| ABSENT[(robot.index() + shift) % ABSENT.len()];
                 let robots: Vec<_> = RobotId::first(count).map(|robot| (robot, state(robot))).collect();
-                for text in [completion(&robots), no_robot(&robots)] {
+                for text in [completion(&robots), no_robot(&robots), waiting(&robots)] {
                     assert!(text.len() <= REASON_BYTES_MAX, "{} bytes: {text}", text.len());
                     for (_, state) in &robots {
                         assert!(text.contains(state.absence().unwrap()), "{state:?}: {text}");

@@ -2,6 +2,7 @@
 //!
 //! The robots of the merged map share one coordinator. A robot whose map is not merged yet explores its own map.
 
+mod conclusion;
 mod known_places;
 
 use super::excluded::is_in_zone;
@@ -16,10 +17,6 @@ use super::{CoordinationConfig, FleetCoordinator};
 use crate::navigation::{FleetNavigator, GoalFrame, NavigatedRobot, NavigationInput, NavigationState};
 use crate::observation::MapView;
 use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp};
-
-/// Time without a robot that can be given goals after which a map is given up, seconds: a restart of SLAM and a
-/// relocalization take less.
-const PATIENCE_S: f64 = 60.0;
 
 /// Robots that share a map, with their coordinator.
 #[derive(Clone, Debug)]
@@ -85,6 +82,8 @@ pub struct FleetExploration {
     availability: [Option<RobotAvailability>; ROBOTS_MAX],
     /// Since when a robot is lost or silent.
     absent_since: [Option<Stamp>; ROBOTS_MAX],
+    /// When a robot could explore last; `None` before the first step.
+    able_at: Option<Stamp>,
     lost: LostRobots,
     revisits: [Revisits; ROBOTS_MAX],
     phase: CoordinationPhase,
@@ -102,6 +101,7 @@ impl FleetExploration {
             manual: [false; ROBOTS_MAX],
             availability: [None; ROBOTS_MAX],
             absent_since: [None; ROBOTS_MAX],
+            able_at: None,
             lost: LostRobots::default(),
             revisits: core::array::from_fn(|_| Revisits::default()),
             phase: CoordinationPhase::Exploring,
@@ -226,7 +226,7 @@ impl FleetExploration {
             }
         }
         self.lost.step(navigator, input, &robots);
-        self.conclude(input.stamp);
+        self.conclude(input);
         self.phase
     }
 
@@ -317,37 +317,6 @@ impl FleetExploration {
             };
             self.send(navigator, input.stamp, frame, robot, goal);
         }
-    }
-
-    /// Decides what the fleet as a whole does, and whether the exploration is over.
-    fn conclude(&mut self, now: Stamp) {
-        let is_able = |map: &&ExploredMap| !map.is_manual && now - map.able_at < PATIENCE_S;
-        let phase = self.maps_in_use().filter(is_able).map(|map| map.coordinator.phase()).min();
-        match phase {
-            Some(phase) => self.phase = phase,
-            None if self.maps.is_empty() || self.maps_in_use().any(|map| map.is_manual) => {}
-            None => self.end = Some(ExplorationEnd::NoRobot),
-        }
-        if phase == Some(CoordinationPhase::Done) && !self.awaits_robot(now) {
-            let is_whole = self.maps_in_use().all(|map| map.coordinator.covers_map());
-            let took_too_long = self.maps_in_use().any(|map| map.coordinator.took_too_long());
-            self.end = Some(match (is_whole, took_too_long) {
-                (false, _) => ExplorationEnd::MapTooLarge,
-                (true, true) => ExplorationEnd::TookTooLong,
-                (true, false) => ExplorationEnd::Completed,
-            });
-        }
-    }
-
-    /// Whether a robot that may go on soon is lost or silent, looks for its place or is on its way to one that it knows: what it alone
-    /// reaches is not explored.
-    fn awaits_robot(&self, now: Stamp) -> bool {
-        RobotId::first(ROBOTS_MAX).any(|robot| {
-            let is_absent_for_now =
-                self.absent_since[robot.index()].is_some_and(|since| now - since < PATIENCE_S);
-            let is_revisiting = self.availability(robot) == Some(RobotAvailability::Revisiting);
-            is_absent_for_now || is_revisiting || self.lost.is_searching(robot)
-        })
     }
 
     /// Cancels all goals that were sent: exploration ends here.

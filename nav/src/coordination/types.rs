@@ -132,6 +132,8 @@ pub struct RobotGoal {
 /// What the fleet does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum CoordinationPhase {
+    /// No robot has been able to explore for 5 s. Only an exploration says so; no coordinator does.
+    Waiting,
     /// Robots go to viewpoints.
     Exploring,
     /// Nothing reachable is unknown; robots return to where they began.

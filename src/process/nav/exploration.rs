@@ -14,7 +14,7 @@ use msg::{
 /// Period of the states while the exploration goes on, nanoseconds.
 const REPORT_PERIOD_NS: u64 = 1_000_000_000;
 /// Why it stands while persons have all robots.
-const ALL_TAKEN: &str = "people, the base or the emergency stop control all robots; release the stop if it is set, then resume or explore again";
+const ALL_TAKEN: &str = "people, the base or the emergency stop have all robots; release the stop, cancel goals or let them end, then explore again";
 const MAP_TOO_LARGE: &str =
     "the map is larger than the 51 m on which exploration plans; what lies farther away was not looked at";
 const TOOK_TOO_LONG: &str = "something within reach is left: robots drove for a long time and saw nothing more; see what is left, and explore again";
@@ -232,16 +232,25 @@ impl<P: Ports> Exploration<P> {
         let is_paused = self.robots.iter().all(is_manual);
         let status = match exploration.phase() {
             _ if is_paused => ExplorationStatus::Paused,
+            CoordinationPhase::Waiting => ExplorationStatus::Waiting,
             CoordinationPhase::Exploring => ExplorationStatus::Exploring,
             CoordinationPhase::Returning | CoordinationPhase::Done => ExplorationStatus::Returning,
         };
         report.status = status as u32;
-        report.set_reason(if is_paused { ALL_TAKEN } else { "" });
+        match status {
+            ExplorationStatus::Paused => report.set_reason(ALL_TAKEN),
+            ExplorationStatus::Waiting => {
+                let part = |robot: &RobotId| (*robot, report.robot(robot.index()));
+                let parts: Vec<_> = self.robots.iter().map(part).collect();
+                report.set_reason(&absent::waiting(&parts));
+            }
+            _ => report.set_reason(""),
+        }
         let estimate = exploration.estimate().filter(|_| status == ExplorationStatus::Exploring);
         report.least_s = estimate.map_or(f64::NAN, |estimate| estimate.least_s);
         report.most_s = estimate.map_or(f64::NAN, |estimate| estimate.most_s);
         report.known_m2 = exploration.known_m2().unwrap_or(f64::NAN);
-        if is_full && exploration.phase() != CoordinationPhase::Exploring {
+        if is_full && exploration.phase() > CoordinationPhase::Exploring {
             let left: Vec<ExplorationLeftover> = exploration.leftovers().iter().map(leftover).collect();
             report.set_leftovers(&left);
         }

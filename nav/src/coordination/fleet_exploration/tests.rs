@@ -220,3 +220,51 @@ fn exploration_waits_for_a_robot_that_is_lost_or_silent_for_a_moment() {
     let (at_s, _) = end_with_absence(1000.0, false);
     assert!((130.0..140.0).contains(&at_s), "its search takes two minutes: {at_s} s");
 }
+
+#[test]
+fn an_exploration_without_scans_or_maps_waits_for_its_robots_and_then_fails() {
+    let cells = cells();
+    let mut robots = robots(&cells, 2);
+    for robot in &mut robots {
+        (robot.observation.map, robot.observation.map_from_base) = (None, None);
+    }
+    let mut navigator = FleetNavigator::new(NavigatorConfig::default());
+    let mut exploration = FleetExploration::new(CoordinationConfig::default());
+    let mut step = |second: u32, robots: &[NavigatedRobot], is_silent: bool| {
+        let stamp = Stamp::from_seconds(f64::from(second));
+        let input = NavigationInput { stamp, robots, exclusion_zones: &[] };
+        (exploration.step(&mut navigator, &input, &|_| is_silent), exploration.end())
+    };
+    let with_maps = self::robots(&cells, 2);
+    for second in 0..5 {
+        assert_eq!(step(second, &robots, true), (CoordinationPhase::Exploring, None), "it may be starting");
+    }
+    assert_eq!(step(5, &robots, true), (CoordinationPhase::Waiting, None));
+    assert_eq!(step(6, &with_maps, false), (CoordinationPhase::Exploring, None), "it goes on");
+    for second in 7..66 {
+        assert_eq!(step(second, &with_maps, true).1, None);
+    }
+    assert_eq!(step(66, &with_maps, true), (CoordinationPhase::Waiting, Some(ExplorationEnd::NoRobot)));
+}
+
+#[test]
+fn an_exploration_of_a_fleet_that_never_had_a_map_fails() {
+    let cells = cells();
+    let mut robots = robots(&cells, 1);
+    robots[0].observation.map = None;
+    let mut navigator = FleetNavigator::new(NavigatorConfig::default());
+    let mut end_s = |is_manual: bool| {
+        let mut exploration = FleetExploration::new(CoordinationConfig::default());
+        (0..200).find(|second| {
+            let stamp = Stamp::from_seconds(f64::from(*second));
+            let input = NavigationInput { stamp, robots: &robots, exclusion_zones: &[] };
+            if is_manual {
+                exploration.set_manual(robots[0].observation.robot, false);
+            }
+            exploration.step(&mut navigator, &input, &|_| false);
+            exploration.end() == Some(ExplorationEnd::NoRobot)
+        })
+    };
+    assert_eq!(end_s(false), Some(60));
+    assert_eq!(end_s(true), None, "a person may keep it");
+}
