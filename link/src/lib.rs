@@ -29,6 +29,7 @@ mod series;
 mod size;
 mod stop;
 pub mod table;
+mod unknown_robots;
 mod velocity_admission;
 pub mod wire;
 
@@ -44,6 +45,7 @@ pub use scan::{DecimatedScan, ScanRate};
 pub use sender::{PartSender, SenderConfig};
 pub use stop::{StopFollower, StopRequest};
 pub use table::{Direction, Kind, Priority};
+pub use unknown_robots::{UNKNOWN_NAMES_MAX, UnknownRobots, unknown_robot_text};
 pub use wire::{Envelope, Message, WireError};
 
 #[cfg(test)]

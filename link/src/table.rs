@@ -158,6 +158,17 @@ pub fn keys(robot: &str, direction: Direction) -> String {
     format!("{KEY_PREFIX}/{robot}/{}/*", direction.name())
 }
 
+/// Returns the key expression of the urgent messages of all robots, those included that a base does not have.
+pub fn all_robots_key() -> String {
+    key("**", Direction::Up, Priority::Command)
+}
+
+/// Returns the name of the robot that has sent urgent messages with this key; `None` for other keys.
+pub fn robot_of_key(key: &str) -> Option<&str> {
+    let end = format!("/{}/{}", Direction::Up.name(), Priority::Command.name());
+    key.strip_prefix(KEY_PREFIX)?.strip_prefix('/')?.strip_suffix(end.as_str())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -175,5 +186,9 @@ mod tests {
     fn no_robots_key_is_within_another_robots() {
         assert_eq!(key("robot1", Direction::Up, Priority::Map), "mr-slam/robot1/up/map");
         assert_eq!(keys("robot1", Direction::Down), "mr-slam/robot1/down/*");
+        for name in ["robot1", "lab/bob"] {
+            assert_eq!(robot_of_key(&key(name, Direction::Up, Priority::Command)), Some(name));
+            assert_eq!(robot_of_key(&key(name, Direction::Down, Priority::Command)), None);
+        }
     }
 }

@@ -120,6 +120,21 @@ fn describe(message: &str) -> Option<String> {
     ))
 }
 
+/// Returns what Zenoh says without places in its source, such as ` at /root/.../orchestrator.rs:388.`.
+#[cfg(feature = "zenoh")]
+pub(crate) fn plain_reason(why: &str) -> String {
+    let is_place = |word: &str| word.contains(".rs:");
+    let mut words: Vec<&str> = Vec::new();
+    for word in why.split_whitespace() {
+        if !is_place(word) {
+            words.push(word);
+        } else if words.last() == Some(&"at") {
+            words.pop();
+        }
+    }
+    words.join(" ")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

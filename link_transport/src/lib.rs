@@ -21,4 +21,8 @@ pub trait Transport {
     fn send(&mut self, robot: usize, kind: Kind, bytes: &[u8]);
     /// Returns the oldest message that was received, and its robot's index.
     fn receive(&mut self) -> Option<(usize, Vec<u8>)>;
+    /// Takes a name under which a machine has sent that is none of the robots'; at a base without keys alone.
+    fn receive_unknown_name(&mut self) -> Option<String> {
+        None
+    }
 }

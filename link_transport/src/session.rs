@@ -3,10 +3,11 @@
 //! Zenoh connects, connects again, and sends the more urgent first. What does not fit into its queues is dropped: all that
 //! must arrive is sent again by the crate `link`.
 
+use crate::connection_log::plain_reason;
 use crate::keys::{BASE_SUBJECT, KeyFiles, ROUTER_SUBJECT, robot_subject};
 use crate::{Endpoint, Protocol, Transport};
 use link::Kind;
-use link::table::{Direction, Priority, key, keys};
+use link::table::{Direction, Priority, all_robots_key, key, keys, robot_of_key};
 use serde_json::{Value, json};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -28,6 +29,8 @@ const WITHOUT_END: i64 = -1;
 /// Times for which a machine tries to connect by QUIC and then by TLS, milliseconds: attempts take [`OPEN_MS`] at most. QUIC,
 /// which bears losses better, has more of them.
 const PROTOCOLS_MS: [i64; 2] = [8000, 4000];
+/// Time of the first attempt, milliseconds.
+const FIRST_MS: i64 = 4000;
 /// Pause before they are tried again.
 const PROTOCOLS_PAUSE: Duration = Duration::from_millis(500);
 /// Time between two warnings that there is no connection.
@@ -94,7 +97,8 @@ impl SessionConfig {
         if self.listens() {
             return zenoh::open(self.to_zenoh(WITHOUT_END)?).wait().map_err(failed("cannot open a session"));
         }
-        let mut configs = vec![self.to_zenoh(PROTOCOLS_MS[0])?];
+        // The first attempt is short: who starts a robot sees soon that it has no base.
+        let mut configs = vec![self.to_zenoh(FIRST_MS)?];
         let mut how = "it is tried until there is one";
         if self.endpoint.protocol == Protocol::Quic {
             let by_tls = Self { endpoint: self.endpoint.with_protocol(Protocol::Tls), ..self.clone() };
@@ -109,14 +113,16 @@ impl SessionConfig {
                     Err(why) if reported.is_none_or(|reported| reported.elapsed() >= REPORT_PERIOD) => {
                         reported = Some(Instant::now());
                         tracing::warn!(
-                            "{}: no connection ({why}); {how}. Look whether the base runs and is reached, and whether this machine's key \
-                             is of its fleet",
-                            self.endpoint
+                            "{}: no connection ({}); {how}. Look whether the base runs and is reached at this address and port, and \
+                             whether this machine's key is of its fleet",
+                            self.endpoint,
+                            plain_reason(&why.to_string())
                         );
                     }
                     Err(_) => {}
                 }
             }
+            configs[0] = self.to_zenoh(PROTOCOLS_MS[0])?;
             std::thread::sleep(PROTOCOLS_PAUSE);
         }
     }
@@ -260,10 +266,18 @@ fn tls(keys: &KeyFiles) -> Value {
 #[derive(Debug, Default)]
 struct Inbox {
     messages: VecDeque<(usize, Vec<u8>)>,
+    /// Names that are no robot's here.
+    unknown: Vec<String>,
     dropped: u64,
 }
 
 impl Inbox {
+    fn push_unknown(&mut self, name: &str) {
+        if self.unknown.len() < link::UNKNOWN_NAMES_MAX && self.unknown.iter().all(|other| other != name) {
+            self.unknown.push(name.to_owned());
+        }
+    }
+
     fn push(&mut self, robot: usize, bytes: Vec<u8>) {
         if self.messages.len() == WAITING_MAX {
             self.messages.pop_front();
@@ -306,6 +320,18 @@ impl ZenohTransport {
                 }
             };
             let subscriber = session.declare_subscriber(keys(robot, back)).callback(receive).wait();
+            subscribers.push(subscriber.map_err(failed("cannot subscribe"))?);
+        }
+        // With keys the access list refuses such machines, and the log names them.
+        if matches!(config.role, SessionRole::Base | SessionRole::BaseBehindRouter) && config.keys.is_none() {
+            let (inbox, robots) = (inbox.clone(), config.robots.clone());
+            let receive = move |sample: zenoh::sample::Sample| {
+                let Some(name) = robot_of_key(sample.key_expr().as_str()) else { return };
+                if robots.iter().all(|robot| robot != name) {
+                    inbox.lock().unwrap_or_else(PoisonError::into_inner).push_unknown(name);
+                }
+            };
+            let subscriber = session.declare_subscriber(all_robots_key()).callback(receive).wait();
             subscribers.push(subscriber.map_err(failed("cannot subscribe"))?);
         }
         Ok(Self { publishers, inbox, _subscribers: subscribers, _session: session })
@@ -361,6 +387,10 @@ impl Transport for ZenohTransport {
 
     fn receive(&mut self) -> Option<(usize, Vec<u8>)> {
         self.inbox.lock().unwrap_or_else(PoisonError::into_inner).messages.pop_front()
+    }
+
+    fn receive_unknown_name(&mut self) -> Option<String> {
+        self.inbox.lock().unwrap_or_else(PoisonError::into_inner).unknown.pop()
     }
 }
 

@@ -254,8 +254,9 @@ pub fn run(args: &LinkArgs) -> Result<(), Error> {
         },
         keys: args.keys.as_deref().map(KeyFiles::find).transpose()?,
     };
+    let base = args.name.as_deref().map(|name| (name, args.endpoint.to_string()));
     let period = if args.name.is_none() { link::BASE_STATE_PERIOD } else { link::ROBOT_STATE_PERIOD };
-    let (ports, run_stop) = (link::attach(&run)?, RunStop::start(&run, period)?);
+    let (ports, run_stop) = (link::attach(&run, base)?, RunStop::start(&run, period)?);
     let over = || stop.requested();
     // It waits for the other machine, maybe for ever, and cannot be asked to end.
     let opening = std::thread::spawn(move || ZenohTransport::open(&config));

@@ -5,7 +5,7 @@ use super::robot_choice::{RobotChoice, RobotChoiceError};
 use super::run_args::RunArgs;
 use crate::channel::{self, Opener, Program};
 use crate::clock::now;
-use crate::config::Mode;
+use crate::config::{Mode, RobotSource};
 use crate::ports::ChannelError;
 use crate::process::pose;
 use crate::run::{Run, RunError};
@@ -120,6 +120,11 @@ pub enum SlamCommandError {
     /// SLAM did not answer at all.
     #[error("{0}'s SLAM does not answer; it may be restarting: see `mr-slam status`, then try again")]
     Silent(RobotId),
+    /// The robot is on another machine, with its SLAM.
+    #[error(
+        "{0}'s SLAM runs on the robot's own machine, not at the base: run the same command there, as `mr-slam slam 1 ...`"
+    )]
+    OtherMachine(String),
     /// SLAM was there and did not finish the request.
     #[error(
         "{0}'s SLAM has not finished within {WORK_PATIENCE:?}; it may have died, or the disk does not answer: `mr-slam slam {0} state` says what holds"
@@ -343,12 +348,21 @@ fn text(file: &Path) -> Result<Text, SlamCommandError> {
     text.ok_or_else(|| SlamCommandError::Path(whole.display().to_string()))
 }
 
+/// Checks that the robot's SLAM runs on this machine: at a base none does.
+fn check_is_here(run: &Run, robot: RobotId) -> Result<(), SlamCommandError> {
+    if run.config.world == RobotSource::Robots {
+        return Err(SlamCommandError::OtherMachine(run.config.robot_name(robot)));
+    }
+    Ok(())
+}
+
 /// Sends the request and prints the response.
 pub fn run(args: &SlamArgs) -> Result<(), SlamCommandError> {
     let request = args.action.request()?;
     let run = RunArgs { run_dir: args.run_dir.clone() };
     let run = if args.action.changes() { run.open_to_change()? } else { run.open()? };
     let robot = args.robot.find(&run)?;
+    check_is_here(&run, robot)?;
     let mut client = SlamClient::attach(&run, robot)?;
     let answer = client.request(&request);
     if !matches!(args.action, SlamAction::State) {
@@ -368,14 +382,4 @@ pub fn run(args: &SlamArgs) -> Result<(), SlamCommandError> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_folder_is_no_name_of_a_file() {
-        for folder in [".", "..", "/", "maps/", ""] {
-            assert!(matches!(text(Path::new(folder)), Err(SlamCommandError::Folder(_))), "{folder}");
-        }
-        assert!(text(Path::new("maps/monday")).unwrap().as_str().ends_with("/maps/monday"));
-    }
-}
+mod tests;

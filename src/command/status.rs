@@ -87,10 +87,13 @@ pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
     let run = args.run.open()?;
     // What goes out once a second comes while the figures are waited for.
     let mut states = NavigationStates::open(&run)?;
-    let (fleet, link) = (newest_figures(&run)?, link_figures(&run));
+    let (fleet, link, of_report) = (newest_figures(&run)?, link_figures(&run), report_lines(&run));
     let navigation = states.newest();
-    let of_link: Vec<String> =
-        launcher_line(&run).into_iter().chain(link.iter().flatten().filter_map(line)).collect();
+    let of_link: Vec<String> = launcher_line(&run)
+        .into_iter()
+        .chain(of_report)
+        .chain(link.iter().flatten().filter_map(line))
+        .collect();
     let stop_latched = stop_file(&run.dir).try_exists().ok();
     let text = || {
         let age_s = crate::clock::now().since(run.begun) as f64 * 1e-9;
@@ -187,6 +190,19 @@ impl NavigationStates {
             self.robots.iter_mut().filter_map(|(robot, reader)| Some((*robot, *reader.newest()?))).collect();
         Some(NavigationView::new(reports.iter().map(|(robot, report)| (*robot, report)), &exploration))
     }
+}
+
+/// Says what the link's report tells of the machine as a whole: unknown robots at a base, a base that a robot does not hear.
+fn report_lines(run: &Run) -> Vec<String> {
+    let mut report = LinkReport::read(&run.dir).unwrap_or_default();
+    let now = crate::clock::now();
+    if Duration::from_nanos(now.0.saturating_sub(report.written_ns)) > REPORT_AGE_MAX {
+        report.peers.iter_mut().for_each(|peer| peer.is_heard = false);
+        report.unknown_robots.clear();
+    }
+    let names: Vec<String> = run.robots().map(|robot| run.config.robot_name(robot)).collect();
+    let unknown = report.unknown_robots.iter().map(|name| ::link::unknown_robot_text(name, &names));
+    unknown.chain(report.base_alarm(Duration::from_nanos(now.since(run.begun)))).collect()
 }
 
 /// Returns the figures of the link to each robot; `None` where the robots are on this machine.

@@ -34,16 +34,18 @@ pub const POLL_PERIOD: Duration = Duration::from_millis(20);
 /// Messages read in one step, so that a peer that sends without end does not hold up the others.
 const RECEIVED_MAX: usize = 256;
 
-/// Time after which a peer that was never heard is named.
-const FIRST_HEARD_MAX: Duration = Duration::from_secs(30);
+/// Time after which a robot that was never heard is named at the base: it may be switched on later.
+const ROBOT_HEARD_MAX: Duration = Duration::from_secs(30);
+/// Time after which a robot's machine says that its base was never heard.
+const BASE_HEARD_MAX: Duration = Duration::from_secs(8);
 
 /// Tells once that a peer has not been heard since the start.
 #[derive(Clone, Copy, Debug)]
 struct FirstHeard(Option<Monotonic>);
 
 impl FirstHeard {
-    fn after(start: Monotonic) -> Self {
-        Self(Some(start + FIRST_HEARD_MAX))
+    fn after(start: Monotonic, longest: Duration) -> Self {
+        Self(Some(start + longest))
     }
 
     /// Returns, once, whether the time is over and the peer was not heard.
@@ -105,7 +107,13 @@ fn run_number(run: &Run) -> u32 {
     (begun as u32 ^ (begun >> 32) as u32 ^ run.pid.rotate_left(16)).max(1)
 }
 
-/// Attaches the link's process to a run.
-pub fn attach(run: &Run) -> Result<Participant, ChannelError> {
+/// Attaches the link's process to a run. `base`: on a robot's machine, the robot's name and the endpoint of its base, which
+/// `link.json` has until that is heard.
+pub fn attach(run: &Run, base: Option<(&str, String)>) -> Result<Participant, ChannelError> {
+    if let Some((robot, base)) = base
+        && let Err(why) = LinkReport::begin(run, robot, &base)
+    {
+        tracing::warn!("{}: link.json: {why}", run.dir.display());
+    }
     Participant::open(&run.domain, Opener::of_fleet(Program::LinkTool), "link")
 }

@@ -55,6 +55,33 @@ fn robot_and_base_reach_each_other_through_a_router() {
     drop(router);
 }
 
+#[test]
+fn what_is_said_of_a_failed_connection_names_no_source_file() {
+    let why = "Unable to connect to any of [tcp/127.0.0.1:17999]! at /root/.cargo/registry/src/zenoh/orchestrator.rs:388.";
+    assert_eq!(plain_reason(why), "Unable to connect to any of [tcp/127.0.0.1:17999]!");
+}
+
+#[test]
+fn a_base_hears_the_name_of_a_robot_that_it_does_not_have() {
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let mut base = ZenohTransport::open(&config(&endpoint, SessionRole::Base, None)).unwrap();
+    let robots = vec!["carl".to_owned()];
+    let carl = SessionConfig { robots, ..config(&endpoint, SessionRole::Robot, None) };
+    let mut robot = ZenohTransport::open(&carl).unwrap();
+    let begun = std::time::Instant::now();
+    let name = loop {
+        robot.send(0, Kind::RobotState, b"state");
+        if let Some(name) = base.receive_unknown_name() {
+            break name;
+        }
+        assert!(begun.elapsed() < Duration::from_secs(60), "nothing arrives");
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    assert_eq!(name, "carl");
+    assert_eq!(base.receive(), None, "it is no robot of this base");
+}
+
 /// Sends a message until it arrives.
 fn cross(from: &mut ZenohTransport, to: &mut ZenohTransport, kind: Kind) {
     let begun = std::time::Instant::now();

@@ -1,14 +1,16 @@
 //! The link's end at the base: it writes the channels of robots that are on other machines.
 
 use super::demand::ScanDemands;
-use super::{FirstHeard, InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl, run_number};
+use super::{
+    FirstHeard, InvalidMessages, POLL_PERIOD, RECEIVED_MAX, ROBOT_HEARD_MAX, StopControl, run_number,
+};
 use crate::channel;
 use crate::clock::Epoch;
 use crate::ports::{ChannelError, Clock as _, MAP_PAUSE, Ports, ReadPort, WriteMapPort, WritePort};
 use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
 use ::bridge::world::{ClockOffset, SourceClock};
-use ::link::{BaseEnd, BaseEvent, DecimatedScan, Hold};
+use ::link::{BaseEnd, BaseEvent, DecimatedScan, Hold, UnknownRobots};
 use link_transport::Transport;
 use msg::{
     Battery, Clock, Monotonic, PoseEstimate, RobotHold, RobotId, Scan, Stamp, Submap, SubmapPoses,
@@ -96,9 +98,9 @@ struct Reported {
 }
 
 /// Mirror of one robot.
-struct RobotMirror<P: Ports> {
+pub(super) struct RobotMirror<P: Ports> {
     robot: RobotId,
-    name: String,
+    pub(super) name: String,
     end: BaseEnd,
     /// How far the robot's clock is from ours, from when its poses arrive.
     clock: SourceClock,
@@ -117,10 +119,11 @@ struct RobotMirror<P: Ports> {
 
 /// Mirrors the channels of all robots of the configuration.
 pub struct BaseLink<P: Ports, T, S> {
-    transport: T,
+    pub(super) transport: T,
     stop: S,
-    robots: Vec<RobotMirror<P>>,
+    pub(super) robots: Vec<RobotMirror<P>>,
     scan_demands: ScanDemands<P>,
+    pub(super) unknown: UnknownRobots,
     fleet_clock: P::Writer<Clock>,
     clock_due: Monotonic,
     clock: P::Clock,
@@ -138,6 +141,7 @@ impl<P: Ports, T: Transport, S: StopControl> BaseLink<P, T, S> {
             stop,
             robots: robots.collect::<Result<_, _>>()?,
             scan_demands: ScanDemands::open(ports, run)?,
+            unknown: UnknownRobots::default(),
             fleet_clock: ports.writer(&channel::clock())?,
             clock_due: Monotonic(0),
             clock: ports.clock(),
@@ -170,6 +174,7 @@ impl<P: Ports, T: Transport, S: StopControl> ProcessLoop for BaseLink<P, T, S> {
                 robot.receive(&bytes, self.epoch, now);
             }
         }
+        self.hear_unknown(now);
         self.scan_demands.receive(now);
         let is_stopped = self.stop.is_stopped();
         for robot in &mut self.robots {
@@ -199,7 +204,7 @@ impl<P: Ports> RobotMirror<P> {
             reported: Reported {
                 is_heard: false,
                 is_contested: false,
-                first_heard: FirstHeard::after(ports.clock().now()),
+                first_heard: FirstHeard::after(ports.clock().now(), ROBOT_HEARD_MAX),
                 hold: None,
             },
             numbers: SubmapNumbers::default(),

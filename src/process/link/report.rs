@@ -5,15 +5,20 @@ use crate::clock::now;
 use crate::job_thread::JobRunner;
 use crate::ports::Ports;
 use crate::run::{LINK_REPORT, Run};
-use ::link::ByteCounters;
+use ::link::{ByteCounters, unknown_robot_text};
 use link_transport::Transport;
+use msg::Monotonic;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Largest file that is read, bytes: 64 robots have 30 kB.
 const BYTES_MAX: u64 = 256 << 10;
+
+/// Age of a run below which nothing is said of a base that was not heard yet.
+const UNHEARD_MIN: Duration = Duration::from_secs(5);
 
 /// Figures of the link to one peer.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -56,6 +61,10 @@ pub struct LinkReport {
     pub process: u32,
     /// One for each robot.
     pub peers: Vec<PeerReport>,
+    /// At the base: machines that send under names of no robot of its fleet.
+    pub unknown_robots: Vec<String>,
+    /// On a robot's machine: endpoint of its base, or of a router before it.
+    pub base: Option<String>,
 }
 
 impl LinkReport {
@@ -71,6 +80,29 @@ impl LinkReport {
         let is_of_run = before.written_ns >= run.begun.0;
         let heard = before.peers.into_iter().filter(|peer| is_of_run && peer.was_heard);
         heard.map(|peer| peer.robot).collect()
+    }
+
+    /// Writes the first report of a robot's machine, before it reaches its base.
+    pub(super) fn begin(run: &Run, robot: &str, base: &str) -> io::Result<()> {
+        let peers = vec![PeerReport { robot: robot.into(), ..PeerReport::default() }];
+        let report = Self { peers, base: Some(base.into()), ..Self::default() };
+        report.of_now().write(&run.dir, &Self::heard_before(run))
+    }
+
+    /// Says what is wrong with the link of a robot's machine to its base; `None` elsewhere, and in the first seconds.
+    pub fn base_alarm(&self, run_age: Duration) -> Option<String> {
+        let (base, peer) = (self.base.as_ref()?, self.peers.first()?);
+        let heard = match (peer.is_heard, peer.was_heard) {
+            (true, _) => return None,
+            (false, true) => "is not heard any more".to_owned(),
+            (false, false) if run_age < UNHEARD_MIN => return None,
+            (false, false) => format!("was never heard, for {} s", run_age.as_secs()),
+        };
+        Some(format!(
+            "the base at {base} {heard}: look whether it runs and is reached at this address and port, whether its --names have {}, \
+             and whether both keys are of one fleet; the robot goes on mapping",
+            peer.robot
+        ))
     }
 
     /// Returns the report with the present time.
@@ -103,12 +135,20 @@ fn path(run_dir: &Path) -> PathBuf {
 pub(super) struct ReportFile {
     run_dir: PathBuf,
     heard_before: Vec<String>,
+    /// The base of a robot's machine, as the first report has it.
+    base: Option<String>,
     has_failed: bool,
 }
 
 impl ReportFile {
     pub(super) fn new(run: &Run) -> Self {
-        Self { run_dir: run.dir.clone(), heard_before: LinkReport::heard_before(run), has_failed: false }
+        let base = LinkReport::read(&run.dir).unwrap_or_default().base;
+        Self {
+            run_dir: run.dir.clone(),
+            heard_before: LinkReport::heard_before(run),
+            base,
+            has_failed: false,
+        }
     }
 }
 
@@ -118,7 +158,8 @@ impl JobRunner for ReportFile {
     type Report = io::Result<()>;
 
     fn run(&mut self, report: &LinkReport) -> io::Result<()> {
-        let written = report.clone().write(&self.run_dir, &self.heard_before);
+        let report = LinkReport { base: self.base.clone(), ..report.clone() };
+        let written = report.write(&self.run_dir, &self.heard_before);
         if let Err(why) = &written
             && !self.has_failed
         {
@@ -163,6 +204,18 @@ impl<P: Ports, T: Transport, S: StopControl> ReportLink for RobotLink<P, T, S> {
     }
 }
 
+impl<P: Ports, T: Transport, S: StopControl> BaseLink<P, T, S> {
+    /// Says in the log which machines are here whose names this fleet does not have.
+    pub(super) fn hear_unknown(&mut self, now: Monotonic) {
+        while let Some(name) = self.transport.receive_unknown_name() {
+            if let Some(name) = self.unknown.hear(&name, now) {
+                let names: Vec<String> = self.robots.iter().map(|robot| robot.name.clone()).collect();
+                tracing::warn!("{}", unknown_robot_text(name, &names));
+            }
+        }
+    }
+}
+
 impl<P: Ports, T: Transport, S: StopControl> ReportLink for BaseLink<P, T, S> {
     fn report(&self) -> LinkReport {
         let peers = self.ends().map(|(name, end, late_scans)| PeerReport {
@@ -179,7 +232,8 @@ impl<P: Ports, T: Transport, S: StopControl> ReportLink for BaseLink<P, T, S> {
             bytes: by_kind(end.received()),
             ..PeerReport::default()
         });
-        LinkReport { peers: peers.collect(), ..LinkReport::default() }
+        let unknown_robots = self.unknown.present(self.now());
+        LinkReport { peers: peers.collect(), unknown_robots, ..LinkReport::default() }
     }
 }
 
@@ -188,6 +242,28 @@ mod tests {
     use super::*;
     use crate::config::FleetConfig;
     use crate::job_thread::{JobThread, JobWorker};
+
+    #[test]
+    fn a_robot_that_never_heard_its_base_is_told_so_with_the_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = Run::in_memory(FleetConfig::default()).unwrap();
+        run.dir = folder.path().into();
+        LinkReport::begin(&run, "bob", "tcp/127.0.0.1:17999").unwrap();
+        let mut report = LinkReport::read(&run.dir).unwrap();
+        let text = report.base_alarm(Duration::from_secs(29)).unwrap();
+        assert!(text.starts_with("the base at tcp/127.0.0.1:17999 was never heard, for 29 s"), "{text}");
+        assert!(text.contains("--names have bob"), "{text}");
+        assert_eq!(report.base_alarm(Duration::from_secs(2)), None);
+        // What the link's loop writes keeps the base.
+        let written =
+            ReportFile::new(&run).run(&LinkReport { peers: report.peers.clone(), ..LinkReport::default() });
+        written.unwrap();
+        assert_eq!(LinkReport::read(&run.dir).unwrap().base, report.base);
+        report.peers[0].was_heard = true;
+        assert!(report.base_alarm(Duration::ZERO).unwrap().contains("not heard any more"));
+        report.peers[0].is_heard = true;
+        assert_eq!(report.base_alarm(Duration::from_secs(29)), None);
+    }
 
     #[test]
     fn the_thread_of_the_files_says_that_a_report_is_not_written() {

@@ -1,6 +1,8 @@
 //! The link's end on a robot's machine: its map, poses and state go to the base, velocities and the stop come back.
 
-use super::{FirstHeard, InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl, run_number};
+use super::{
+    BASE_HEARD_MAX, FirstHeard, InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl, run_number,
+};
 use crate::channel;
 use crate::clock::Epoch;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
@@ -81,7 +83,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             end: RobotEnd::new(session, run_number(run), SenderConfig::default(), scans),
             inputs,
             outputs,
-            first_heard: FirstHeard::after(clock.now()),
+            first_heard: FirstHeard::after(clock.now(), BASE_HEARD_MAX),
             clock,
             epoch: run.epoch,
             listeners: vec![ports.listener(&channel::pose_estimate(ROBOT))?],
