@@ -85,7 +85,7 @@ test("services are called by their schemas, and a call that cannot be done fails
   const { response } = services.get("/robot1/clear_closures");
   const answer = new MessageReader(parse(response.schema, { ros2: true })).readMessage(calls.get(1).data);
   assert.equal(answer.success, true, answer.message);
-  assert.match(calls.get(2).message, /below the run's folder/);
+  assert.match(calls.get(2).message, /leads out of the folder for saved files/);
 });
 
 test("a goal that is published is driven to", async () => {

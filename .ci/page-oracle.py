@@ -55,7 +55,7 @@ async def check(url):
         await client.call_service(services["/robot1/slam_toolbox/save_map"]["id"], request, encoding="cdr", timeout=WAIT_S)
         raise AssertionError("a call that cannot be done has a response")
     except ServiceCallError as error:
-        assert "below the run's folder" in str(error), error
+        assert "leads out of the folder for saved files" in str(error), error
     assert statuses == [], statuses
     await client.disconnect()
 

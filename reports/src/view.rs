@@ -197,6 +197,16 @@ const SILENT_AFTER_S: f64 = 2.5;
 const NOT_REPORTING_AFTER_S: f64 = 12.0;
 
 impl FleetView {
+    /// Removes the figures of time, where time is virtual and they say nothing.
+    pub fn on_virtual_time(mut self) -> Self {
+        let nothing = DistributionView { count: 0, p50: None, p95: None, p99: None, max: None };
+        for robot in &mut self.robots {
+            (robot.tf_jitter_ms, robot.scan_to_pose_ms) = (nothing.clone(), nothing.clone());
+            robot.scan_to_map_ms = nothing.clone();
+        }
+        self
+    }
+
     /// Removes the errors of the robots' map transforms where these were given, because the starts are known: they say nothing.
     pub fn without_given_transforms(mut self, starts_known: bool) -> Self {
         if starts_known {
@@ -291,13 +301,6 @@ impl RobotView {
     /// Returns the age of its part of the merged map, seconds, if that part is old.
     pub fn old_map_age_s(&self) -> Option<f64> {
         self.map_age_s.filter(|age_s| self.merged && *age_s > MAP_OLD_AFTER_S)
-    }
-
-    /// Removes the figures of time, where time is virtual and they say nothing.
-    pub fn forget_latencies(&mut self) {
-        let nothing = DistributionView { count: 0, p50: None, p95: None, p99: None, max: None };
-        (self.tf_jitter_ms, self.scan_to_pose_ms) = (nothing.clone(), nothing.clone());
-        self.scan_to_map_ms = nothing;
     }
 
     /// Known share of the robot's map, 0 to 1; `None`: it has no map.

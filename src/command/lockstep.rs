@@ -89,7 +89,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let described =
         recorded.as_ref().map_or(Ok(()), |summary| record::describe_parts(&summary.bag, &summary.files));
     let exploration = exploration.map(WatchedExploration::outcome);
-    let view = FleetView::new(fleet.stats()).with_edges(fleet.merge_edges());
+    let view = FleetView::new(fleet.stats()).on_virtual_time().with_edges(fleet.merge_edges());
     let view = view.without_given_transforms(config.fleet.starts_known);
     let report = serde_json::json!({
         "sha256": hash, "maps_sha256": maps_hash, "times_real_time": faster, "fleet": view, "recording": recorded,

@@ -68,7 +68,7 @@ pub fn run(
         series.add(&figures, |robot| seen.command(robot, now_s));
         // Virtual time itself has no jitter: without a link before the robots a figure of it would say nothing.
         if !robots_are_behind_link {
-            figures.robots.iter_mut().for_each(reports::RobotView::forget_latencies);
+            figures = figures.on_virtual_time();
         }
         view = Some(figures);
         if second % 60 == 59 {

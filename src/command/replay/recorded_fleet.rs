@@ -100,7 +100,7 @@ fn finish(args: &ReplayArgs, fleet: &mut Lockstep, figures: &Figures<'_>) -> Res
         };
         fleet.write_maps(|name| if name == "merged_map" { stem.clone() } else { of_robot(name) })?;
     }
-    let view = FleetView::new(fleet.stats()).with_edges(fleet.merge_edges());
+    let view = FleetView::new(fleet.stats()).on_virtual_time().with_edges(fleet.merge_edges());
     let summary = serde_json::json!({
         "maps_sha256": hash, "seconds": seconds, "malformed_messages": malformed, "damage": missing.damages,
         "not_read": missing.not_read, "gaps": missing.gaps,
