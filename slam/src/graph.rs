@@ -41,6 +41,13 @@ pub enum EdgeKind {
     EstimatedPose,
 }
 
+impl EdgeKind {
+    /// Whether scans measured such an edge: a link or a closure.
+    pub fn is_scan(self) -> bool {
+        matches!(self, Self::ScanMatch | Self::Closure)
+    }
+}
+
 /// Variances of a relative pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseVariances {
@@ -77,7 +84,7 @@ pub struct Edge {
 impl Edge {
     /// Whether it is active and scans measured it: a link or a closure.
     pub fn is_active_scan(&self) -> bool {
-        self.is_active && matches!(self.kind, EdgeKind::ScanMatch | EdgeKind::Closure)
+        self.is_active && self.kind.is_scan()
     }
 
     /// An active edge whose variance is not known yet.

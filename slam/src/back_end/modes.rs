@@ -203,7 +203,8 @@ impl BackEnd {
             |e: &Edge| e.is_active_scan() && e.a.min(e.b) < first_node && e.a.max(e.b) >= first_node;
         let is_confirmed = match &self.location.localizer {
             Some(localizer) => localizer.counts().matched > matched_before,
-            None => self.graph.edges().iter().any(connects),
+            // What it connects with may itself be where a person alone said.
+            None => self.graph.edges().iter().any(connects) && self.newest_unconfirmed_component().is_none(),
         };
         if is_confirmed {
             self.location.unconfirmed = None;

@@ -240,4 +240,21 @@ mod tests {
         let unplaced = add(5, 25, EdgeKind::Closure);
         assert!(unplaced.iter().all(Option::is_none), "{unplaced:?}");
     }
+
+    #[test]
+    fn an_estimate_is_confirmed_by_the_map_and_not_by_another_estimate() {
+        let mut back = straight_path(9, 1.0);
+        let estimate = LocalFrameEstimate { map_from_local: Pose2::IDENTITY, sigma_m: 0.3, sigma_rad: 0.2 };
+        back.location.unconfirmed = Some(UnconfirmedEstimate { estimate, first_node: 6, matched_before: 0 });
+        let mut is_unconfirmed_after = |a: u32, b: u32, kind| {
+            let moved = Pose2::new(f64::from(b - a), 0.0, 0.0);
+            back.graph.add_edge([a, b], moved, information_from_sigmas(0.01, 0.001), kind, [0.0; 2]);
+            back.confirm_estimate();
+            back.frame_update().unconfirmed
+        };
+        assert!(is_unconfirmed_after(2, 3, EdgeKind::EstimatedPose));
+        assert!(is_unconfirmed_after(2, 6, EdgeKind::EstimatedPose));
+        assert!(is_unconfirmed_after(4, 7, EdgeKind::Closure), "with what another estimate placed");
+        assert!(!is_unconfirmed_after(1, 7, EdgeKind::Closure));
+    }
 }

@@ -29,11 +29,6 @@ struct EdgeNoiseModel {
     systematic: [f64; 2],
 }
 
-/// Whether scans measured an edge.
-fn is_scan(edge: &Edge) -> bool {
-    matches!(edge.kind, EdgeKind::ScanMatch | EdgeKind::Closure)
-}
-
 /// A covariance along a way through the graph.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathCovariance {
@@ -180,7 +175,7 @@ impl Graph {
         let information_of =
             |e: &Edge| if errors.as_claimed { e.information } else { e.measured_information() };
         let scaled = |e: &Edge| {
-            if is_scan(e) { information_of(e) / errors.variance_factor } else { information_of(e) }
+            if e.kind.is_scan() { information_of(e) / errors.variance_factor } else { information_of(e) }
         };
         let same = self.edges_between(edge.a, edge.b);
         let information = same.fold(Matrix3::identity() * REGULARISATION, |sum, e| sum + scaled(e));
@@ -209,7 +204,7 @@ impl Graph {
         let (mut has_odometry, mut left) = (false, OdometryPart::Everything);
         for e in self.edges_between(edge.a, edge.b) {
             has_odometry |= e.kind == EdgeKind::Odometry;
-            if is_scan(e) {
+            if e.kind.is_scan() {
                 let Some(direction_rad) = e.degenerate_direction_rad else { return OdometryPart::Nothing };
                 if left == OdometryPart::Everything {
                     left = OdometryPart::Along(direction_rad);
