@@ -15,7 +15,7 @@ struct Refusal {
     kind: RefusalKind,
     topic: String,
     /// When it was told last.
-    reported: Monotonic,
+    reported_at: Monotonic,
     /// Messages refused since then.
     unreported: u64,
 }
@@ -32,16 +32,16 @@ impl RosRefusals {
         let is_same = |known: &&mut Refusal| known.kind == kind && known.topic == topic;
         if let Some(known) = self.refusals.iter_mut().find(is_same) {
             known.unreported += 1;
-            if now.since(known.reported) < REPEAT_NS {
+            if now.since(known.reported_at) < REPEAT_NS {
                 return None;
             }
-            known.reported = now;
+            known.reported_at = now;
             return Some(std::mem::take(&mut known.unreported));
         }
         if self.refusals.len() == REFUSALS_MAX {
             self.refusals.remove(0);
         }
-        self.refusals.push(Refusal { kind, topic: topic.into(), reported: now, unreported: 0 });
+        self.refusals.push(Refusal { kind, topic: topic.into(), reported_at: now, unreported: 0 });
         Some(1)
     }
 }

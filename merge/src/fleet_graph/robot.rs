@@ -13,8 +13,8 @@ pub(crate) struct Robot {
     pub submaps: SubmapStore,
     /// Estimate of its map's transform by the fleet's pose graph.
     pub estimate: RobotEstimate,
-    /// Number of the run of the robot's machine, once its poses have said it.
-    pub run: Option<u32>,
+    /// Number of the frame of its map, once its poses have said it.
+    pub map_frame: Option<u32>,
     /// Whether the maps contradicted its given start, which is not used any more.
     pub is_start_contradicted: bool,
     /// The map redrawn from submaps; `None` while a single transform aligns all of the robot's own map.

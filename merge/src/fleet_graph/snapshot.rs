@@ -29,8 +29,9 @@ pub struct FleetSnapshot {
 struct RobotSnapshot {
     /// Frame `map` from frame `robotK/map`; none while it is unknown.
     map_from_robot_map: Option<[f64; 3]>,
-    /// Number of the run of the robot's machine; none before its poses have said it.
-    run: Option<u32>,
+    /// Number of the frame of its map; none before its poses have said it.
+    #[serde(rename = "run")]
+    map_frame: Option<u32>,
     /// Whether the robot's start is known: not after its machine began anew.
     is_start_known: bool,
     /// Whether the maps contradicted the start.
@@ -72,7 +73,7 @@ impl FleetPoseGraph {
     pub fn snapshot(&self) -> FleetSnapshot {
         let robots = self.robots.iter().map(|robot| RobotSnapshot {
             map_from_robot_map: robot.estimate.map_from_robot_map().map(to_values),
-            run: robot.run,
+            map_frame: robot.map_frame,
             is_start_known: robot.estimate.configured_map_from_robot_map().is_some(),
             is_start_contradicted: robot.is_start_contradicted,
         });
@@ -115,7 +116,7 @@ impl FleetPoseGraph {
             if !kept.is_start_known {
                 robot.remove();
             }
-            (robot.run, robot.is_start_contradicted) = (kept.run, kept.is_start_contradicted);
+            (robot.map_frame, robot.is_start_contradicted) = (kept.map_frame, kept.is_start_contradicted);
             let transform = transform.or(robot.estimate.configured_map_from_robot_map());
             robot.estimate.set_transform(transform);
         }

@@ -3,10 +3,10 @@
 use super::*;
 
 impl FleetPoseGraph {
-    /// Removes a robot whose machine is in another run than before: the frame of its map is another one.
-    pub(super) fn check_map_frame(&mut self, robot: RobotId, run: u32) -> Result<(), SubmapRejected> {
+    /// Removes a robot whose map has another frame than before: its machine is in another run, or a map of elsewhere was loaded.
+    pub(super) fn check_map_frame(&mut self, robot: RobotId, map_frame: u32) -> Result<(), SubmapRejected> {
         let known = self.robots.get_mut(robot.index()).ok_or(SubmapRejected::UnknownRobot(robot))?;
-        if known.run.replace(run).is_some_and(|before| before != run) {
+        if known.map_frame.replace(map_frame).is_some_and(|before| before != map_frame) {
             self.remove_robot(robot);
         }
         Ok(())

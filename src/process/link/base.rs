@@ -303,7 +303,7 @@ impl<P: Ports> RobotMirror<P> {
     }
 
     /// Says in the log what is new of the robot, and to navigation whether it follows.
-    fn notify(&mut self, now: Monotonic) {
+    fn report_changes(&mut self, now: Monotonic) {
         let (is_heard, is_contested) = (self.end.is_heard(now), self.end.is_contested(now));
         if self.reported.is_heard && !is_heard {
             tracing::warn!("{} is not heard any more; its map stays as it is", self.name);
@@ -335,7 +335,7 @@ impl<P: Ports> RobotMirror<P> {
 
     /// Sends what is due to the robot.
     fn send(&mut self, transport: &mut impl Transport, now: Monotonic) {
-        self.notify(now);
+        self.report_changes(now);
         let index = self.robot.index();
         let mut send = |kind, bytes: &[u8]| transport.send(index, kind, bytes);
         let is_timely =
