@@ -137,6 +137,19 @@ pub struct FleetStats {
     pub room_to_map_m: f64,
     /// Mean thickness of the merged map's walls, metres.
     pub wall_thickness_m: f64,
+    /// [`FleetStats::room_coverage`] where the merged map lies best on the room. Its frame is the first robot's with unknown starts, and
+    /// has the error of that robot's first scans.
+    pub aligned_room_coverage: f64,
+    /// [`FleetStats::room_f1`] there.
+    pub aligned_room_f1: f64,
+    /// [`FleetStats::map_to_room_m`] there.
+    pub aligned_map_to_room_m: f64,
+    /// [`FleetStats::room_to_map_m`] there.
+    pub aligned_room_to_map_m: f64,
+    /// By how much the map's origin is moved for that, metres.
+    pub aligned_by_m: f64,
+    /// By how much the map is turned for that, radians, 0 to pi.
+    pub aligned_by_rad: f64,
     /// Time over which the robots' counts and distributions are counted, seconds: since telemetry was started last.
     pub counted_s: f64,
     /// Age of the maps from which all that is said of maps was computed, seconds. NaN before the first.

@@ -33,8 +33,8 @@ pub use scan_rates::ScanRates;
 pub use series::{DrivenTime, RobotSeries, Series, TeleoperationProfile, add_teleoperation};
 pub use system::{frame_tree, process_graph};
 pub use view::{
-    AgainstRoomView, ClosureView, DistributionView, EdgeView, Emphasis, FleetView, MapView, ProcessView,
-    RobotView, SlamView, Style, edge_table, edges_json,
+    AgainstRoomView, AlignedView, ClosureView, DistributionView, EdgeView, Emphasis, FleetView, MapView,
+    ProcessView, RobotView, SlamView, Style, edge_table, edges_json,
 };
 pub use workload::{TlxEntry, add_workload};
 

@@ -4,11 +4,13 @@ mod alarms;
 mod battery;
 mod edges;
 mod layout;
+mod room;
 mod slam;
 mod table;
 
 pub use edges::{EdgeView, edge_table, edges_json};
 pub use layout::{Emphasis, Style};
+pub use room::{AgainstRoomView, AlignedView};
 pub use slam::{ClosureView, SlamView};
 
 use crate::BridgeState;
@@ -114,19 +116,6 @@ pub struct RobotView {
     pub map_transform_error_m: Option<f64>,
     /// The same, degrees.
     pub map_transform_error_deg: Option<f64>,
-}
-
-/// Walls of the merged map compared with the simulated room's.
-#[derive(Clone, Debug, Serialize)]
-pub struct AgainstRoomView {
-    /// F1 of occupied cells with a tolerance of one cell.
-    pub occupied_f1: f64,
-    /// Mean distance from occupied cells to the nearest visible wall, metres, each at most 1 m.
-    pub map_to_room_m: f64,
-    /// Mean distance from visible walls to the nearest occupied cell, metres, each at most 1 m.
-    pub room_to_map_m: f64,
-    /// Mean thickness of the map's walls, metres.
-    pub wall_thickness_m: f64,
 }
 
 /// Figures of a map.
@@ -266,12 +255,7 @@ impl FleetView {
             null_transforms: stats.null_count,
             null_consistency_mean: finite(stats.null_consistency_mean),
             null_f1_mean: finite(stats.null_f1_mean),
-            against_room: stats.room_f1.is_finite().then_some(AgainstRoomView {
-                occupied_f1: stats.room_f1,
-                map_to_room_m: stats.map_to_room_m,
-                room_to_map_m: stats.room_to_map_m,
-                wall_thickness_m: stats.wall_thickness_m,
-            }),
+            against_room: AgainstRoomView::new(stats),
             merge_edges: Vec::new(),
             contradicted_starts: Vec::new(),
             edges_unsaved: false,

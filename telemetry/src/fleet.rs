@@ -1,6 +1,7 @@
 //! Statistics of the fleet, once a second.
 
 use crate::map_metrics::{MapFigures, known_transform, world_from_map};
+use crate::merged::RoomAccuracy;
 use crate::processes::ProcessTable;
 use crate::robot::RobotTelemetry;
 use msg::{
@@ -125,6 +126,7 @@ impl Telemetry {
     /// The metrics of the maps in it are the newest that were set; it says how old their maps are.
     pub fn compute_stats(&mut self, stamp: Stamp, now: Monotonic) -> &FleetStats {
         let MapFigures { robots: map_counts, merged_map, pairs, room_coverage, accuracy } = &self.map_figures;
+        let RoomAccuracy { placed, aligned } = accuracy;
         let world_from_map = world_from_map(&self.world_from_robot_map, &self.map_transforms);
         self.stats = FleetStats {
             header: Header { stamp, ..Default::default() },
@@ -139,10 +141,16 @@ impl Telemetry {
             null_consistency_mean: pairs.null_agreement_mean,
             null_f1_mean: pairs.null_f1_mean,
             null_count: pairs.null_count,
-            room_f1: accuracy.occupied_f1,
-            map_to_room_m: accuracy.map_to_room_m,
-            room_to_map_m: accuracy.room_to_map_m,
-            wall_thickness_m: accuracy.wall_thickness_m,
+            room_f1: placed.occupied_f1,
+            map_to_room_m: placed.map_to_room_m,
+            room_to_map_m: placed.room_to_map_m,
+            wall_thickness_m: placed.wall_thickness_m,
+            aligned_room_coverage: aligned.accuracy.room_coverage,
+            aligned_room_f1: aligned.accuracy.occupied_f1,
+            aligned_map_to_room_m: aligned.accuracy.map_to_room_m,
+            aligned_room_to_map_m: aligned.accuracy.room_to_map_m,
+            aligned_by_m: aligned.moved_m,
+            aligned_by_rad: aligned.turned_rad,
             counted_s: now.since(self.begun) as f64 * 1e-9,
             maps_age_s: age_s(self.maps_taken, now),
             processes: self.processes.health(now),

@@ -1,9 +1,9 @@
 //! Metrics of the maps, which take long. They are apart from the counting of messages, which must not wait.
 
-use crate::merged::MergedMap;
+use crate::merged::{MergedMap, RoomAccuracy};
 use crate::pairs::{PairComparisons, PairMeans, PlacedMap};
 use crate::received_map::ReceivedMap;
-use crate::truth::{MapAccuracy, ObservableArea};
+use crate::truth::ObservableArea;
 use msg::{DenseMap, Grid, GridView, MapTransforms, Pose2, ROBOTS_MAX, RobotId, RobotStats, TileMap};
 
 /// What has changed since the metrics were computed last.
@@ -26,7 +26,7 @@ pub struct MapFigures {
     pub(crate) merged_map: RobotStats,
     pub(crate) pairs: PairMeans,
     pub(crate) room_coverage: f64,
-    pub(crate) accuracy: MapAccuracy,
+    pub(crate) accuracy: RoomAccuracy,
 }
 
 impl Default for MapFigures {
@@ -37,7 +37,7 @@ impl Default for MapFigures {
             merged_map: RobotStats::default(),
             pairs: PairComparisons::new(0).means(),
             room_coverage: f64::NAN,
-            accuracy: MapAccuracy::UNKNOWN,
+            accuracy: RoomAccuracy::UNKNOWN,
         }
     }
 }

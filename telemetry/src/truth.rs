@@ -1,5 +1,9 @@
 //! Errors of a map against the true room (simulation only).
 
+mod alignment;
+
+pub use alignment::AlignedAccuracy;
+
 use crate::distance::squared_distances;
 use msg::grid::{Occupancy, occupancy};
 use msg::grid_agreement::for_known_cells;

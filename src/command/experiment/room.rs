@@ -4,7 +4,7 @@ use crate::config::{FleetConfig, RobotSource};
 use crate::fleet::{self, FleetError};
 use crate::process::PLAN_RESOLUTION_M;
 use msg::{GridView, Pose2};
-use reports::{AgainstRoomView, FleetView};
+use reports::{AgainstRoomView, AlignedView, FleetView};
 use telemetry::truth::ObservableArea;
 
 /// Name of the merged map, of its channel and of its file.
@@ -27,7 +27,8 @@ pub fn compare(view: &mut FleetView, map: GridView<'_>, config: &FleetConfig) ->
     };
     let places: Vec<_> = starts.iter().map(|start| [start.x_m, start.y_m]).collect();
     let plan = room.floor_plan_from(PLAN_RESOLUTION_M, &places);
-    let errors = ObservableArea::new(plan, places).compare(map, world_from_map);
+    let area = ObservableArea::new(plan, places);
+    let (errors, best) = (area.compare(map, world_from_map), area.compare_aligned(map, world_from_map));
     let known = |value: f64| value.is_finite().then_some(value);
     view.room_coverage = known(errors.room_coverage);
     view.against_room = known(errors.occupied_f1).map(|occupied_f1| AgainstRoomView {
@@ -35,6 +36,14 @@ pub fn compare(view: &mut FleetView, map: GridView<'_>, config: &FleetConfig) ->
         map_to_room_m: errors.map_to_room_m,
         room_to_map_m: errors.room_to_map_m,
         wall_thickness_m: errors.wall_thickness_m,
+        aligned: AlignedView {
+            room_coverage: best.accuracy.room_coverage,
+            occupied_f1: best.accuracy.occupied_f1,
+            map_to_room_m: best.accuracy.map_to_room_m,
+            room_to_map_m: best.accuracy.room_to_map_m,
+            moved_m: best.moved_m,
+            turned_deg: best.turned_rad.to_degrees(),
+        },
     });
     Ok(())
 }

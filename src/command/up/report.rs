@@ -281,17 +281,8 @@ fn map_figures(fleet: &FleetView, style: &Style) -> String {
         text += &style.wrap(&line, 2);
     }
     if let Some(room) = &fleet.against_room {
-        let metres = |value: f64| format!("{value:.3} m");
-        let rows = [
-            ("known, of the observable area", percent(fleet.room_coverage)),
-            ("occupied F1", percent(Some(room.occupied_f1))),
-            ("from the map's walls to the room's", metres(room.map_to_room_m)),
-            ("from the room's walls to the map's", metres(room.room_to_map_m)),
-            ("thickness of walls", metres(room.wall_thickness_m)),
-        ];
-        let rows = rows.map(|(name, value)| row(name, value, String::new()));
         text += "\n";
-        text += &style.value_table(["merged map beside the room", "this run", ""], &rows);
+        text += &room.table(fleet.room_coverage, style);
     }
     for robot in fleet.robots.iter().filter(|robot| robot.map_transform_error_m.is_some()) {
         let (m, deg) =
