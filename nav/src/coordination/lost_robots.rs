@@ -1,4 +1,4 @@
-//! Lost robots of an exploration: each looks for its place, once each time that it is lost.
+//! Lost robots of an exploration: each looks for its place, several times with pauses.
 
 use super::types::{CoordinatedRobot, RobotAvailability};
 use crate::navigation::{FleetNavigator, NavigationInput, NavigationState};
@@ -8,6 +8,12 @@ use msg::{ROBOTS_MAX, RobotId, Stamp};
 /// stands take less.
 const LOST_S: f64 = 10.0;
 
+/// Pause after a search in vain, seconds: below the time after which an exploration without robots fails.
+const PAUSE_S: f64 = 30.0;
+
+/// Most searches each time that a robot is lost: ten minutes of driving. One wander of two minutes sees a part of a hall.
+const SEARCHES_MAX: u32 = 5;
+
 /// What is done about a robot that may be lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 enum Loss {
@@ -16,10 +22,10 @@ enum Loss {
     None,
     /// It stands, without a pose since then.
     Waiting(Stamp),
-    /// It looks for its place.
-    Searching,
-    /// It has looked in vain.
-    Searched,
+    /// It looks for its place, for the time of this number, from 1.
+    Searching { search: u32 },
+    /// It has looked so many times in vain, the last time until then.
+    Searched { searches: u32, until: Stamp },
 }
 
 /// The robots of an exploration that do not know where they are.
@@ -35,7 +41,7 @@ impl Default for LostRobots {
 impl LostRobots {
     /// Whether a robot looks for its place now.
     pub(super) fn is_searching(&self, robot: RobotId) -> bool {
-        self.0[robot.index()] == Loss::Searching
+        matches!(self.0[robot.index()], Loss::Searching { .. })
     }
 
     /// Has robots that were lost for some time look for their places, and ends that when their poses are known or somebody takes them.
@@ -49,7 +55,7 @@ impl LostRobots {
         for robot in robots {
             let (id, loss) = (robot.robot, &mut self.0[robot.robot.index()]);
             if robot.availability != RobotAvailability::Lost {
-                if *loss == Loss::Searching {
+                if matches!(loss, Loss::Searching { .. }) {
                     navigator.end_place_search(id);
                 }
                 *loss = Loss::None;
@@ -59,14 +65,23 @@ impl LostRobots {
                 let state = navigator.robots().find(|navigation| navigation.robot == id).map(|it| it.state);
                 state == Some(NavigationState::FindingPlace)
             };
+            // A robot that does not know where it is cannot keep out of zones.
+            let may_search = input.exclusion_zones.is_empty();
             *loss = match *loss {
                 Loss::None => Loss::Waiting(now),
-                // A robot that does not know where it is cannot keep out of zones.
-                Loss::Waiting(since) if now - since >= LOST_S && input.exclusion_zones.is_empty() => {
+                Loss::Waiting(since) if now - since >= LOST_S && may_search => {
                     navigator.find_place(now, id);
-                    Loss::Searching
+                    Loss::Searching { search: 1 }
                 }
-                Loss::Searching if !is_searching() => Loss::Searched,
+                Loss::Searching { search } if !is_searching() => {
+                    Loss::Searched { searches: search, until: now }
+                }
+                Loss::Searched { searches, until }
+                    if searches < SEARCHES_MAX && now - until >= PAUSE_S && may_search =>
+                {
+                    navigator.find_place(now, id);
+                    Loss::Searching { search: searches + 1 }
+                }
                 same => same,
             };
         }

@@ -1,5 +1,5 @@
-//! Search of a lost robot for its place: it turns, then drives by its LiDAR alone, so that SLAM sees more; again and again if it does
-//! not see all around.
+//! Search of a lost robot for its place: it turns, then drives by its LiDAR alone, so that SLAM sees more. One that does not see all
+//! around turns again and again.
 
 use super::RobotNavigator;
 use crate::command::Twist;
@@ -29,7 +29,8 @@ impl RobotNavigator {
     /// Has the robot look for its place; a goal that it had is cancelled.
     pub(in super::super) fn find_place(&mut self, now: Stamp) {
         self.end(NavigationState::Cancelled);
-        let random = RandomNumbers::new(self.robot.number() as u64);
+        // Each search takes another way.
+        let random = RandomNumbers::new(now.0 as u64 ^ self.robot.number() as u64);
         self.place_search = Some(PlaceSearch { since: now, wander: Wander::default(), random });
         self.state = NavigationState::FindingPlace;
     }
