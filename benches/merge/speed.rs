@@ -161,7 +161,7 @@ fn statistics(side: u32) -> [f64; 2] {
     let mut map_transforms = MapTransforms::default();
     for (k, map_transform) in map_transforms.robots.iter_mut().take(3).enumerate() {
         *map_transform =
-            MapTransform { map_from_robot_map: Pose2::new(0.0, 0.0, 0.2 * k as f64), known: 1, reserved: 0 };
+            MapTransform { map_from_robot_map: Pose2::new(0.0, 0.0, 0.2 * k as f64), known: 1, map_frame: 0 };
     }
     metrics.update_map_transforms(&map_transforms);
     let maps: Vec<Grid> = (0..3).map(|k| rooms(side, k)).collect();

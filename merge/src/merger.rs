@@ -216,7 +216,7 @@ impl Merger {
         };
         for (transform, source) in transforms.robots.iter_mut().zip(&self.robots) {
             if let Some(map_from_robot_map) = source.map_from_robot_map {
-                *transform = MapTransform { map_from_robot_map, known: 1, reserved: 0 };
+                *transform = MapTransform { map_from_robot_map, known: 1, map_frame: 0 };
             }
         }
         transforms

@@ -144,8 +144,8 @@ pub struct MapTransform {
     pub map_from_robot_map: Pose2,
     /// 1 if the transform is known, 0 if the robot's map is not merged.
     pub known: u32,
-    /// Padding, always zero.
-    pub reserved: u32,
+    /// Number of the robot's map frame, [`crate::SubmapPoses::map_frame`]: 0 is the one in which the robot began.
+    pub map_frame: u32,
 }
 
 impl MapTransform {

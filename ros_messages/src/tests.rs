@@ -297,7 +297,7 @@ fn all_transforms_have_their_frame_names() {
 
     let mut map_transforms = MapTransforms::default();
     map_transforms.robots[1] =
-        msg::MapTransform { map_from_robot_map: Pose2::new(3.0, 0.0, 0.0), known: 1, reserved: 0 };
+        msg::MapTransform { map_from_robot_map: Pose2::new(3.0, 0.0, 0.0), known: 1, map_frame: 0 };
     out.clear();
     write::map_transforms(&mut Writer::new(&mut out), &names, Stamp(5), &map_transforms);
     let tree: TfMessage = decode(&out).unwrap();

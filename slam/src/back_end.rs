@@ -102,6 +102,8 @@ pub struct BackEnd {
     linked_since_solve: usize,
     /// Solutions of the whole graph so far.
     solutions: u64,
+    /// How often the map became one of another frame.
+    map_frame_changes: u32,
     stages: Box<dyn StageObserver>,
 }
 
@@ -150,6 +152,7 @@ impl BackEnd {
             unverified_node: None,
             linked_since_solve: 0,
             solutions: 0,
+            map_frame_changes: 0,
             stages: Box::new(()),
             config,
         }

@@ -236,12 +236,14 @@ fn a_robot_carried_to_another_room_stays_lost_until_it_knows_that_one_better() {
     assert!(counts.unplaced > 15 && counts.unplaced < nodes, "{counts:?}");
     let (ghosts, occupied) = drive.ghosts(world_from_map);
     assert!(ghosts == 0 && occupied > 500, "{ghosts} of {occupied} cells are no walls");
+    assert_eq!(drive.slam.back().map_frame_changes(), 0);
     // The larger component is the map in the end: the other one is held back then.
     for _ in 0..4 {
         drive.drive(&wander());
     }
     let counts = drive.slam.back_counts();
     assert_eq!(counts.unplaced, nodes, "{counts:?}");
+    assert_eq!(drive.slam.back().map_frame_changes(), 1, "its start says nothing of this map");
     let (state, said, truth) = drive.said[drive.said.len() - 1];
     assert_eq!(state, TrackingState::Tracking);
     let world_from_map = truth * said.inverse();

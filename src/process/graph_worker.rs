@@ -33,6 +33,8 @@ const NICE: i32 = 10;
 pub struct RobotMapEstimate {
     /// Pose of the frame `robotK/map` in `map`; `None` while the robot's map is not connected.
     pub map_from_robot_map: Option<Pose2>,
+    /// Number of the frame `robotK/map`.
+    pub map_frame: u32,
     /// The robot's map drawn anew, if no single transform aligns it.
     pub redrawn: Option<Arc<Grid>>,
 }
@@ -248,6 +250,7 @@ impl<P: Ports> Output<P> {
     fn publish(&mut self, graph: &FleetPoseGraph, robots: usize, is_saved: bool, now: Monotonic) {
         let of_robot = |robot| RobotMapEstimate {
             map_from_robot_map: graph.map_from_robot_map(robot),
+            map_frame: graph.map_frame(robot),
             redrawn: graph.redrawn_map(robot).cloned(),
         };
         let estimate: FleetEstimate = RobotId::first(robots).map(of_robot).collect();
@@ -279,7 +282,7 @@ impl<P: Ports> Output<P> {
 
 fn same(before: &FleetEstimate, now: &FleetEstimate) -> bool {
     before.iter().zip(now).all(|(before, now)| {
-        before.map_from_robot_map == now.map_from_robot_map
+        (before.map_from_robot_map, before.map_frame) == (now.map_from_robot_map, now.map_frame)
             && before.redrawn.as_ref().map(Arc::as_ptr) == now.redrawn.as_ref().map(Arc::as_ptr)
     })
 }

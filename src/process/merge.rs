@@ -85,6 +85,8 @@ struct Inputs<P: Ports> {
     pose_estimates: Vec<(RobotId, P::Reader<PoseEstimate>)>,
     /// Time of the newest pose estimate of each robot, by [`RobotId::index`]; zero: none yet.
     pose_estimate_received: [Monotonic; ROBOTS_MAX],
+    /// Numbers of the frames `robotK/map`, by [`RobotId::index`].
+    map_frames: [u32; ROBOTS_MAX],
     estimates: Arc<FleetEstimateSlot>,
     /// The robots' newest maps, to be kept in files.
     held_maps: Arc<MapSlot>,
@@ -161,6 +163,7 @@ impl<P: Ports> MergeProcess<P> {
                 maps: maps.collect::<Result<_, ChannelError>>()?,
                 pose_estimates: pose_estimates.collect::<Result<_, ChannelError>>()?,
                 pose_estimate_received,
+                map_frames: [0; ROBOTS_MAX],
                 estimates: state.estimates.clone(),
                 held_maps: state.maps.clone(),
             },
@@ -210,6 +213,9 @@ impl<P: Ports> MergeProcess<P> {
         if let Some(estimate) = self.inputs.estimates.take() {
             let merger = &mut self.merger;
             self.refused += self.heartbeat.measure(|| apply_estimate(merger, &estimate));
+            for (frame, robot) in self.inputs.map_frames.iter_mut().zip(&estimate) {
+                *frame = robot.map_frame;
+            }
             changed = true;
         }
         changed
@@ -218,7 +224,11 @@ impl<P: Ports> MergeProcess<P> {
     /// Sends where the robots' maps lie, and how old they are.
     fn send_transforms(&mut self) {
         let pose_estimate_received = self.inputs.pose_estimate_received;
-        self.transforms.send(&MapTransforms { pose_estimate_received, ..self.merger.map_transforms() });
+        let mut transforms = MapTransforms { pose_estimate_received, ..self.merger.map_transforms() };
+        for (transform, frame) in transforms.robots.iter_mut().zip(self.inputs.map_frames) {
+            transform.map_frame = frame;
+        }
+        self.transforms.send(&transforms);
         self.ages.sent = Some(pose_estimate_received);
     }
 

@@ -1,6 +1,6 @@
 //! Statistics of the fleet, once a second.
 
-use crate::map_metrics::{MapFigures, known_transform, world_from_map};
+use crate::map_metrics::{MapFigures, known_transform, true_transform, world_from_map};
 use crate::merged::RoomAccuracy;
 use crate::processes::ProcessTable;
 use crate::robot::RobotTelemetry;
@@ -56,7 +56,7 @@ impl Telemetry {
         let truth = |index: usize| world_from_robot_map.get(index).copied().flatten();
         let world_from_robot_map: Vec<_> = (0..robot_count.min(ROBOTS_MAX)).map(truth).collect();
         Self {
-            robots: world_from_robot_map.iter().map(|truth| RobotTelemetry::new(*truth)).collect(),
+            robots: world_from_robot_map.iter().map(|_| RobotTelemetry::default()).collect(),
             processes: ProcessTable::new(world_from_robot_map.len()),
             world_from_robot_map,
             map_transforms: MapTransforms::default(),
@@ -158,7 +158,7 @@ impl Telemetry {
         };
         for (index, (robot, counts)) in self.robots.iter().zip(map_counts).enumerate() {
             let transform = known_transform(&self.map_transforms, index);
-            let truth = robot.world_from_robot_map;
+            let truth = true_transform(&self.world_from_robot_map, &self.map_transforms, index);
             let [error_m, error_rad] = transform_error(world_from_map, transform, truth);
             self.stats.robots[index] = RobotStats {
                 map_transform_error_m: error_m,
@@ -166,7 +166,7 @@ impl Telemetry {
                 is_merged: u32::from(transform.is_some()),
                 scans_lost_unknown: u32::from(!self.are_lost_scans_known),
                 map_age_s: age_s(self.map_transforms.pose_estimate_received[index], now),
-                ..robot.stats(*counts, now)
+                ..robot.stats(*counts, truth, now)
             };
         }
         &self.stats

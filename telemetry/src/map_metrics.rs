@@ -172,7 +172,17 @@ pub(crate) fn world_from_map(
     world_from_robot_map: &[Option<Pose2>],
     map_transforms: &MapTransforms,
 ) -> Option<Pose2> {
-    world_from_robot_map.iter().zip(&map_transforms.robots).find_map(|(world_from_robot_map, transform)| {
-        Some((*world_from_robot_map)? * transform.known_pose()?.inverse())
+    (0..world_from_robot_map.len()).find_map(|index| {
+        let transform = known_transform(map_transforms, index)?;
+        Some(true_transform(world_from_robot_map, map_transforms, index)? * transform.inverse())
     })
+}
+
+/// Returns frame `world` from frame `robotK/map` in truth: only that of the frame in which the robot began is known.
+pub(crate) fn true_transform(
+    world_from_robot_map: &[Option<Pose2>],
+    map_transforms: &MapTransforms,
+    index: usize,
+) -> Option<Pose2> {
+    world_from_robot_map[index].filter(|_| map_transforms.robots[index].map_frame == 0)
 }

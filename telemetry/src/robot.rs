@@ -58,16 +58,9 @@ pub(crate) struct RobotTelemetry {
     /// When the newest pose estimate came.
     newest_received: Monotonic,
     truths: Deque<(Stamp, Pose2), TRUTHS_MAX>,
-    /// Frame `world` from frame `robotK/map`, if it is known.
-    pub world_from_robot_map: Option<Pose2>,
 }
 
 impl RobotTelemetry {
-    /// Creates a robot; the true transform of its map may be unknown.
-    pub fn new(world_from_robot_map: Option<Pose2>) -> Self {
-        Self { world_from_robot_map, ..Default::default() }
-    }
-
     /// Adds SLAM's answer to a scan.
     pub fn add_pose_estimate(&mut self, pose_estimate: &PoseEstimate, received: Monotonic) {
         self.map_scans.add_pose_estimate(pose_estimate);
@@ -92,8 +85,14 @@ impl RobotTelemetry {
         let _ = self.truths.push_back((truth.header.stamp, truth.world_from_base));
     }
 
-    /// Computes the robot's statistics, with the cell counts of its map.
-    pub fn stats(&self, counts: RobotStats, now: Monotonic) -> RobotStats {
+    /// Computes the robot's statistics, with the cell counts of its map. `world_from_robot_map`: where its map lies in truth, if that is
+    /// known.
+    pub fn stats(
+        &self,
+        counts: RobotStats,
+        world_from_robot_map: Option<Pose2>,
+        now: Monotonic,
+    ) -> RobotStats {
         let pose_estimate = self.newest.unwrap_or_default();
         let is_silent = self.newest.is_some() && now > self.newest_received + SILENT;
         RobotStats {
@@ -105,7 +104,7 @@ impl RobotTelemetry {
             scan_to_pose_ms: self.scan_to_pose.distribution_ms(),
             scan_to_map_ms: self.scan_to_map.distribution_ms(),
             map_from_base: pose_estimate.map_from_base,
-            pose_error_m: self.pose_error_m().unwrap_or(f64::NAN),
+            pose_error_m: self.pose_error_m(world_from_robot_map).unwrap_or(f64::NAN),
             nodes: pose_estimate.nodes,
             closures: pose_estimate.closures,
             ..counts
@@ -113,11 +112,11 @@ impl RobotTelemetry {
     }
 
     /// Returns the distance of SLAM's newest pose from the true one of nearly the same time, metres.
-    fn pose_error_m(&self) -> Option<f64> {
+    fn pose_error_m(&self, world_from_robot_map: Option<Pose2>) -> Option<f64> {
         let pose_estimate = self.newest.as_ref()?;
         let gap_s = |stamp: Stamp| (stamp - pose_estimate.header.stamp).abs();
         let nearest = self.truths.iter().min_by(|a, b| gap_s(a.0).total_cmp(&gap_s(b.0)))?;
-        let world_from_base = self.world_from_robot_map? * pose_estimate.map_from_base;
+        let world_from_base = world_from_robot_map? * pose_estimate.map_from_base;
         (gap_s(nearest.0) <= TRUTH_GAP_MAX_S).then(|| world_from_base.distance_m(nearest.1))
     }
 }

@@ -137,7 +137,7 @@ fn a_late_subscriber_gets_the_map_transforms() {
     with_bridge(Default::default(), async |served| {
         let mut map_transforms = MapTransforms::default();
         map_transforms.robots[0] =
-            MapTransform { map_from_robot_map: Pose2::new(2.0, 0.0, 0.0), known: 1, reserved: 0 };
+            MapTransform { map_from_robot_map: Pose2::new(2.0, 0.0, 0.0), known: 1, map_frame: 0 };
         served.bridge.publish(FleetMessage::MapTransforms(&map_transforms));
         served.bridge.publish(FleetMessage::Clock(&msg::Clock { header: header(77) }));
         let mut client = Client::connect(served.address).await;

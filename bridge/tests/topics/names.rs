@@ -98,7 +98,7 @@ fn pose_estimate(x_m: f64) -> PoseEstimate {
 fn map_transforms(x_m: f64) -> MapTransforms {
     let mut transforms = MapTransforms::default();
     transforms.robots[0] =
-        MapTransform { map_from_robot_map: Pose2::new(x_m, 0.0, 0.0), known: 1, reserved: 0 };
+        MapTransform { map_from_robot_map: Pose2::new(x_m, 0.0, 0.0), known: 1, map_frame: 0 };
     transforms
 }
 

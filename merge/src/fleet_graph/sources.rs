@@ -3,6 +3,11 @@
 use super::*;
 
 impl FleetPoseGraph {
+    /// Number of the frame `robotK/map`; 0, the one in which the robot began, while nothing of the robot is known.
+    pub fn map_frame(&self, robot: RobotId) -> u32 {
+        self.robots.get(robot.index()).and_then(|robot| robot.map_frame).unwrap_or(0)
+    }
+
     /// Removes a robot whose map has another frame than before: its machine is in another run, or a map of elsewhere was loaded.
     pub(super) fn check_map_frame(&mut self, robot: RobotId, map_frame: u32) -> Result<(), SubmapRejected> {
         let known = self.robots.get_mut(robot.index()).ok_or(SubmapRejected::UnknownRobot(robot))?;

@@ -135,9 +135,19 @@ impl BackEnd {
             parent[id as usize] = first(&mut parent, id);
         }
         let map = map_component(&parent);
+        let first_of_map = self.nodes.iter().position(|node| node.disconnected_component.is_none());
         for (node, component) in self.nodes.iter_mut().zip(parent) {
             node.disconnected_component = Some(component).filter(|first| *first != map);
         }
+        if first_of_map.is_some_and(|first| self.nodes[first].disconnected_component.is_some()) {
+            self.map_frame_changes += 1;
+        }
+    }
+
+    /// Returns how often the map became one of another frame, in this process: its first node, the robot's start at the beginning, is
+    /// not part of it any more. Nothing is known then of where the map lies by that start.
+    pub fn map_frame_changes(&self) -> u32 {
+        self.map_frame_changes
     }
 
     /// Moves one of two components to where a closure has it, before the closure connects them: a solver

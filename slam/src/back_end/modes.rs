@@ -65,6 +65,8 @@ impl BackEnd {
         (back.nodes, back.node_ids.front_ids) = (state.nodes, state.front_ids);
         (0..back.nodes.len() as u32).for_each(|id| back.learn_odometry_noise(id));
         back.update_components();
+        // The session's map had its frame already.
+        back.map_frame_changes = 0;
         back.mapper.restore(&back.nodes, &state.drawn);
         (back.loop_closures.not_found, back.loop_closures.to_retry) =
             (state.not_found.into(), state.to_retry.into());

@@ -50,8 +50,8 @@ pub struct BackEndWorker<P: Ports> {
     submaps: SubmapPublisher<P>,
     clock: P::Clock,
     robot: RobotId,
-    /// Number of the front end whose submaps are published.
-    front_number: u32,
+    /// Number of the front end whose submaps are published, and of their map's frame.
+    published: [u32; 2],
     /// Reasons why the map may be wrong that a person was told.
     reported_reasons: Vec<&'static str>,
     ended: bool,
@@ -69,6 +69,7 @@ impl<P: Ports> BackEndWorker<P> {
     ) -> Result<Self, ChannelError> {
         let clock = ports.clock();
         let now = clock.now();
+        let published = [0, frame.number];
         Ok(Self {
             map: MapPublisher::open(ports, robot)?,
             submaps: SubmapPublisher::open(ports, robot, &run.config.slam, frame.number)?,
@@ -81,6 +82,7 @@ impl<P: Ports> BackEndWorker<P> {
                 autosave: Autosave::new(run, robot, now),
                 log: SessionLog::new(run, robot, log_end),
                 frame,
+                frame_changes: 0,
                 front_number: 0,
                 map_changed: true,
                 pending: Vec::new(),
@@ -89,7 +91,7 @@ impl<P: Ports> BackEndWorker<P> {
             },
             clock,
             robot,
-            front_number: 0,
+            published,
             reported_reasons: Vec::new(),
             ended: false,
         })
@@ -121,7 +123,9 @@ impl<P: Ports> BackEndWorker<P> {
         state.autosave_if_due();
         state.request_log_record();
         state.ask_again();
-        if std::mem::replace(&mut self.front_number, state.front_number) != state.front_number {
+        state.follow_frame(self.robot);
+        let current = [state.front_number, state.frame.number];
+        if std::mem::replace(&mut self.published, current) != current {
             submaps.restart(state.frame.number);
         }
         if std::mem::take(&mut state.map_changed) {
@@ -175,6 +179,8 @@ pub struct WorkerState {
     log: SessionLog,
     /// Frame of the map.
     pub(super) frame: MapFrame,
+    /// Changes of the map's frame that the back end counted and `frame` has.
+    frame_changes: u32,
     /// Number of the current or next front end: events of earlier ones are ignored.
     front_number: u32,
     /// The map has changed since it was drawn.
@@ -243,7 +249,7 @@ impl WorkerState {
     pub fn replace(&mut self, front: FrontEnd, back: BackEnd, keeps_pose: bool) {
         // Its scans may have older stamps, but readers need maps in order of time.
         let before = self.back.tiles().header;
-        self.back = back;
+        (self.back, self.frame_changes) = (back, 0);
         self.back.set_map_header(before.header, before.scan_sent);
         self.front_number += 1;
         self.mark_changed();
@@ -252,6 +258,19 @@ impl WorkerState {
         if !self.pending.is_empty() {
             // An earlier request would be answered by the replaced front end.
             self.ask_for_state();
+        }
+    }
+
+    /// Numbers the frame anew if the map has become one of another frame, and saves at once: a process that is started again goes on in
+    /// that frame.
+    fn follow_frame(&mut self, robot: RobotId) {
+        let changes = self.back.map_frame_changes();
+        if std::mem::replace(&mut self.frame_changes, changes) != changes {
+            self.frame = self.frame.next();
+            self.autosave.save_soon();
+            tracing::warn!(
+                "slam of {robot}: the robot was not found in its map, and what it has mapped since is its map now; its frame is a new one"
+            );
         }
     }
 

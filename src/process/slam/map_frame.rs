@@ -36,11 +36,15 @@ impl MapFrame {
     /// Returns the frame of a map that was loaded. `is_of_run`: a process of this run has saved it. Its frame is the same only while no
     /// map of another frame was loaded in this run.
     pub fn after_load(&self, is_of_run: bool) -> Self {
-        let number = match (is_of_run, self.number) {
-            (true, 0) => 0,
-            (_, number) => number.wrapping_add(1).max(1),
-        };
-        Self { number, file: self.file.clone() }
+        match (is_of_run, self.number) {
+            (true, 0) => self.clone(),
+            _ => self.next(),
+        }
+    }
+
+    /// Returns the frame of a map that has another frame than before: nothing is known of where it lies in that one.
+    pub fn next(&self) -> Self {
+        Self { number: self.number.wrapping_add(1).max(1), file: self.file.clone() }
     }
 
     /// Returns the frame if its number must be saved with the session: it is not the one in which the robot began.

@@ -151,11 +151,14 @@ impl<P: Ports> Services<P> {
         };
         let config = state.back.config().clone();
         let (front, back) = ::slam::create_or_resume(config, None, mode, InitialPose::Unknown);
+        if !is_place_known {
+            state.frame = state.frame.next();
+        }
         state.replace(front, back, true);
         done(match is_place_known {
             true => "the map begins anew",
             false => {
-                "the map begins anew, but nobody knew where the robot was: it may begin at a wrong place in the old frame; set its pose"
+                "the map begins anew, in a frame of its own, as nobody knew where the robot was: merging finds anew where it lies in the fleet's map"
             }
         })
     }

@@ -16,7 +16,7 @@ fn map_transforms(known: usize) -> MapTransforms {
     map_transforms.robots[..known].fill(MapTransform {
         map_from_robot_map: Pose2::IDENTITY,
         known: 1,
-        reserved: 0,
+        map_frame: 0,
     });
     map_transforms
 }
@@ -168,4 +168,20 @@ fn unknown_robots_and_malformed_maps_change_nothing() {
     );
     let after = *telemetry.compute_stats(Stamp(0), Monotonic(0));
     assert_eq!(format!("{empty:?}"), format!("{after:?}"));
+}
+
+#[test]
+fn nothing_is_said_of_errors_in_a_frame_in_which_the_robot_did_not_begin() {
+    let mut telemetry = Telemetry::new(2, &[Some(Pose2::IDENTITY); 2], Monotonic(0));
+    telemetry.add_truth(robot(2), &GroundTruth::default());
+    telemetry.add_pose_estimate(robot(2), &PoseEstimate::default(), Monotonic(0));
+    let errors = |telemetry: &mut Telemetry, map_frame: u32| {
+        let mut transforms = map_transforms(2);
+        transforms.robots[1].map_frame = map_frame;
+        telemetry.update_map_transforms(&transforms);
+        let figures = telemetry.compute_stats(Stamp(0), Monotonic(0)).robots[1];
+        [figures.pose_error_m, figures.map_transform_error_m]
+    };
+    assert_eq!(errors(&mut telemetry, 0), [0.0; 2]);
+    assert!(errors(&mut telemetry, 1).iter().all(|error| error.is_nan()));
 }

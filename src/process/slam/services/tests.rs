@@ -161,6 +161,21 @@ fn merging_is_told_that_a_loaded_map_has_another_frame() {
     assert!(again != first && again != 0 && is_reported);
 }
 
+#[test]
+fn a_map_that_begins_anew_where_nobody_knew_the_robot_has_another_frame() {
+    let mut asked = Asked::new(FaultPlan::none());
+    let (response, _) = asked.ask(SlamRequestKind::Reset, "");
+    assert_eq!((response.outcome(), response.text.as_str()), (SlamOutcome::Done, "the map begins anew"));
+    // A loaded map in which no scan has told where the robot is.
+    save(&asked, "own.slam", 0);
+    assert_eq!(asked.ask(SlamRequestKind::LoadSession, "own").0.outcome(), SlamOutcome::Done);
+    let (response, _) = asked.ask(SlamRequestKind::Reset, "");
+    assert!(response.text.as_str().contains("merging finds anew"), "{}", response.text.as_str());
+    asked.wait(2);
+    assert_eq!(asked.poses.newest().map(|poses| poses.map_frame), Some(1));
+    assert_eq!(saved_frame(&asked), 1);
+}
+
 fn saved_frame(asked: &Asked) -> u32 {
     sessions::read_frame(&asked.storage, Path::new("lockstep/sessions/robot1.frame")).unwrap()
 }
