@@ -1,4 +1,4 @@
-//! Processes of an MR-SLAM fleet, and the command line of `mr-slam`.
+//! Command line of `mr-slam`, and all that its tests and benches use of the crates below.
 
 // What processes run on is a crate of its own.
 pub use runtime::{
@@ -11,24 +11,10 @@ pub use runtime::{
 pub use ::config;
 pub use ::config::resources;
 
-// Command line and processes.
+// The processes, in real and in virtual time, and the files of a run.
+pub use fleet::{
+    allowed, certificate, control, lockstep, merge_maps, merge_state_file, nasa_tlx, observer, offered_room,
+    process, run, session_file, session_records, sessions, supervisor, world,
+};
+
 pub mod command;
-pub mod fleet;
-pub mod lockstep;
-mod page_files;
-pub mod process;
-pub mod run;
-pub mod supervisor;
-// What people read and control.
-pub mod allowed;
-pub mod certificate;
-pub mod control;
-pub mod merge_maps;
-pub mod merge_state_file;
-pub mod nasa_tlx;
-pub mod observer;
-pub mod offered_room;
-// Files that outlive a process.
-pub mod session_file;
-pub mod session_records;
-pub mod sessions;

@@ -120,7 +120,7 @@ fn measure(link: Link, length: Duration) -> Result<Row, Box<dyn Error>> {
 /// Starts a fleet whose robots live in a headset; returns it with its configuration.
 fn start_fleet() -> Result<(fleet::Fleet, FleetConfig), Box<dyn Error>> {
     let mut config = FleetConfig { world: RobotSource::Headset, ..FleetConfig::default() };
-    let starts = mr_slam::fleet::room(&config)?.starts(ROBOTS)?;
+    let starts = mr_slam::world::room(&config)?.starts(ROBOTS)?;
     config.fleet.starts = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
     config.fleet.robots = ROBOTS;
     let starts = &config.fleet.starts;

@@ -218,8 +218,8 @@ fn usage(machines: &Machines<'_>, count: usize, seconds: f64) -> Usage {
 fn starts(robots: usize) -> Vec<Pose2> {
     let mut config = FleetConfig::default();
     config.fleet.robots = robots;
-    let room = mr_slam::fleet::room(&config).expect("the default room");
-    mr_slam::fleet::starts(&config, &room).expect("places for all robots")
+    let room = mr_slam::world::room(&config).expect("the default room");
+    mr_slam::world::starts(&config, &room).expect("places for all robots")
 }
 
 fn config(starts: &[Pose2]) -> String {

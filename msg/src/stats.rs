@@ -140,11 +140,11 @@ pub struct FleetStats {
     /// [`FleetStats::room_coverage`] where the merged map lies best on the room. Its frame is the first robot's with unknown starts, and
     /// has the error of that robot's first scans.
     pub aligned_room_coverage: f64,
-    /// [`FleetStats::room_f1`] there.
+    /// F1 of occupied cells there, as [`FleetStats::room_f1`].
     pub aligned_room_f1: f64,
-    /// [`FleetStats::map_to_room_m`] there.
+    /// Distance of the map's walls from the room's there, as [`FleetStats::map_to_room_m`].
     pub aligned_map_to_room_m: f64,
-    /// [`FleetStats::room_to_map_m`] there.
+    /// Distance of the room's walls from the map's there, as [`FleetStats::room_to_map_m`].
     pub aligned_room_to_map_m: f64,
     /// By how much the map's origin is moved for that, metres.
     pub aligned_by_m: f64,

@@ -10,9 +10,9 @@ mod virtual_time;
 use super::fleet_args::{FleetArgs, Starts};
 use super::{Error, output};
 use crate::config::{FleetConfig, RobotSource, room as room_files};
-use crate::fleet;
 use crate::run::{check_output, lock_folder};
 use crate::stop::Stop;
+use crate::world;
 use headset::wireless::{Link, LinkChoice};
 use link::LinkArgs;
 use session::{Session, Settings};
@@ -118,7 +118,7 @@ impl Experiment {
         };
         if config.world == RobotSource::Headset && config.fleet.starts.is_empty() {
             // A headset's robots start where the simulators' would.
-            let starts = fleet::starts(&config, &fleet::room(&config)?)?;
+            let starts = world::starts(&config, &world::room(&config)?)?;
             config.fleet.starts = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
         }
         let link = args.link.link(default_link)?;

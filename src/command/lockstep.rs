@@ -7,7 +7,6 @@ use super::fleet_args::FleetArgs;
 use super::{Error, output};
 use crate::config::FleetConfig;
 use crate::config::room::{self, RecordedRoom};
-use crate::fleet;
 use crate::lockstep::Lockstep;
 use crate::lockstep::faults::FaultPlan;
 use crate::lockstep::invariants::{Checker, quiet_from};
@@ -18,6 +17,7 @@ use crate::runtime_folder::Lock;
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;
+use crate::world;
 use formats::map_file::written_files;
 use formats::overwriting::replaced_input;
 use msg::{ROBOTS_MAX, RobotId};
@@ -195,7 +195,7 @@ fn write_results(dir: &Path, config: &FleetConfig, fleet: &mut Lockstep) -> Resu
     fleet.write_maps(|name| dir.join(name))?;
     let folder = dir.join(sessions::FOLDER);
     let begin_with = config.sessions.folder();
-    sessions::create_folder(&folder, fleet.known_starts(), begin_with, fleet::has_own_frame(config))?;
+    sessions::create_folder(&folder, fleet.known_starts(), begin_with, world::has_own_frame(config))?;
     for (robot, session) in fleet.sessions() {
         session_file::write(&sessions::file(&folder, robot), &session)?;
     }

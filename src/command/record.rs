@@ -57,7 +57,7 @@ pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
         let _ = std::fs::remove_file(&summary_path);
     })?;
     write_summary(&summary_path, &summary)?;
-    output::print_either(args.json, &summary, || summary.text())?;
+    output::print_either(args.json, &summary, || summary_text(&summary))?;
     let described = record::describe_parts(&summary.bag, &summary.files);
     match summary.ended {
         Some(why) => Err(why.into()),
@@ -121,25 +121,23 @@ fn reserve_name(folder: &Path) -> Result<(PathBuf, PathBuf), Error> {
     reserved.map_or_else(|| reserve(&named(String::new())), Ok)
 }
 
-impl Summary {
-    /// Formats files and numbers of messages for a terminal.
-    pub fn text(&self) -> String {
-        let mut text = String::new();
-        for topic in self.topics.iter().filter(|topic| topic.messages > 0) {
-            text += &format!(
-                "{:32} {:8} messages {:10.1} kB\n",
-                topic.topic,
-                topic.messages,
-                topic.bytes as f64 / 1e3
-            );
-        }
-        let number = |count: Option<u64>| count.map_or_else(|| "not known".into(), |count| count.to_string());
-        text += &format!("messages dropped: {}, lost: {}\n", number(self.dropped), number(self.lost));
-        for file in &self.files {
-            text += &format!("{}\n", file.display());
-        }
-        text
+/// Formats files and numbers of messages for a terminal.
+fn summary_text(summary: &Summary) -> String {
+    let mut text = String::new();
+    for topic in summary.topics.iter().filter(|topic| topic.messages > 0) {
+        text += &format!(
+            "{:32} {:8} messages {:10.1} kB\n",
+            topic.topic,
+            topic.messages,
+            topic.bytes as f64 / 1e3
+        );
     }
+    let number = |count: Option<u64>| count.map_or_else(|| "not known".into(), |count| count.to_string());
+    text += &format!("messages dropped: {}, lost: {}\n", number(summary.dropped), number(summary.lost));
+    for file in &summary.files {
+        text += &format!("{}\n", file.display());
+    }
+    text
 }
 
 #[cfg(test)]

@@ -18,8 +18,8 @@ mod starts;
 mod summary;
 mod trajectory;
 
+pub use self::fleet::Starts;
 pub use error::ReplayError;
-pub use fleet::Starts;
 pub use summary::{Percentiles, Summary};
 
 use super::output;
@@ -145,7 +145,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
         (log @ [_], None) => log,
         (logs, Some(starts)) if (1..=msg::ROBOTS_MAX).contains(&logs.len()) => {
             options::refuse(Replay::MergedLogs, args)?;
-            return fleet::run(args, starts, &config, &merging);
+            return self::fleet::run(args, starts, &config, &merging);
         }
         // The parts of one recording.
         (logs, None) if are_recordings => logs,

@@ -15,7 +15,6 @@ use super::fleet_args::FleetArgs;
 use crate::certificate::CertificateError;
 use crate::child_messages::ChildMessages;
 use crate::config::{ConfigError, FleetConfig, ValueError};
-use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
 use crate::offered_room;
 use crate::resources::{self, ResourceMonitor, Shortage};
@@ -24,6 +23,7 @@ use crate::sessions;
 use crate::shared_memory::DomainGuard;
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
+use crate::world::{self, WorldError};
 use bridge::dds::{Discovery, DiscoveryVariables};
 use console::OperatorConsole;
 pub use pictures::add_plots;
@@ -101,7 +101,7 @@ pub enum UpError {
     Config(#[from] ConfigError),
     /// The world, the robots' starts or their sessions cannot be built.
     #[error(transparent)]
-    Fleet(#[from] FleetError),
+    World(#[from] WorldError),
     /// The run's folder or shared memory cannot be used.
     #[error(transparent)]
     Run(#[from] RunError),
@@ -247,7 +247,7 @@ pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), Up
 /// of its own. The report is the last run's.
 pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Report, UpError> {
     let mut config = args.config()?;
-    fleet::check(&config)?;
+    world::check(&config)?;
     page::choose_ports(&mut config)?;
     let (address, port) = (config.fleet.address.clone(), config.fleet.port);
     let listener = TcpListener::bind((address.as_str(), port)).map_err(|why| UpError::Port {
@@ -280,10 +280,10 @@ fn run_created(
     hooks: &mut dyn FleetHooks,
     stop: &Stop,
 ) -> Result<Report, UpError> {
-    let known = fleet::known_starts(&run.config)?;
+    let known = world::known_starts(&run.config)?;
     let (folder, begin_with) = (sessions::folder(run), run.config.sessions.folder());
-    sessions::create_folder(&folder, &known, begin_with, fleet::has_own_frame(&run.config))
-        .map_err(FleetError::from)?;
+    sessions::create_folder(&folder, &known, begin_with, world::has_own_frame(&run.config))
+        .map_err(WorldError::from)?;
     keep_earlier_results(&run.dir)?;
     let mut screen = Screen::new(run, args.in_background);
     check_resources(run, &mut screen)?;

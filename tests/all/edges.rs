@@ -2,8 +2,8 @@
 
 use crate::harness::{Fleet, mr_slam, output_of, process, send};
 use mr_slam::channel::{self, Opener, Program};
-use mr_slam::fleet::known_starts;
 use mr_slam::shared_memory::Participant;
+use mr_slam::world::known_starts;
 use msg::{MapTransforms, Pose2, Role};
 use rustix::process::Signal;
 use serde_json::Value;

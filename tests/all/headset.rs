@@ -8,7 +8,7 @@ use bridge::frame::Parser;
 use bridge::ros::{self, TfMessage};
 use mr_slam::clock::Epoch;
 use mr_slam::config::FleetConfig;
-use mr_slam::fleet;
+use mr_slam::world;
 use msg::{Pose2, Stamp};
 use rustix::process::Signal;
 use std::io::Read;
@@ -54,7 +54,7 @@ fn listen(mut stream: TcpStream) -> Heard {
 
 #[test]
 fn the_world_of_a_headset_is_mapped_on_the_runs_clock() {
-    let room = fleet::room(&FleetConfig::default()).unwrap();
+    let room = world::room(&FleetConfig::default()).unwrap();
     let starts = room.starts(ROBOTS).unwrap().iter().map(|p| [p.x_m, p.y_m, p.yaw_rad]).collect::<Vec<_>>();
     let folder = Folder::new();
     let text = format!("world = \"headset\"\n[fleet]\nrobots = {ROBOTS}\nstarts = {starts:?}\n");
@@ -110,8 +110,8 @@ fn lockstep_refuses_an_external_world() {
 #[test]
 fn maps_with_known_starts_are_merged_at_their_starts() {
     let mut config = FleetConfig { world: mr_slam::config::RobotSource::Headset, ..FleetConfig::default() };
-    let known = fleet::known_starts(&config).unwrap();
+    let known = world::known_starts(&config).unwrap();
     assert_eq!(known, [Some(Pose2::IDENTITY), None, None]);
     config.fleet.starts = vec![[1.0, 2.0, 0.5]; 3];
-    assert_eq!(fleet::known_starts(&config).unwrap(), [Some(Pose2::new(1.0, 2.0, 0.5)); 3]);
+    assert_eq!(world::known_starts(&config).unwrap(), [Some(Pose2::new(1.0, 2.0, 0.5)); 3]);
 }

@@ -7,7 +7,7 @@ use bridge::ros::{self, FrameNames, NameStyle, TfMessage, TransformStamped, writ
 use bytemuck::Zeroable;
 use mr_slam::clock::Epoch;
 use mr_slam::config::FleetConfig;
-use mr_slam::fleet;
+use mr_slam::world;
 use msg::{RobotId, Scan, Stamp, VelocityCommand};
 use sim::Simulator;
 use std::io::Write;
@@ -39,9 +39,9 @@ pub struct Headset {
 impl Headset {
     /// Connects, and registers the topics of the fleet's robots.
     pub fn attach(port: u16, config: &FleetConfig) -> Self {
-        let room = fleet::room(config).unwrap();
-        let starts = fleet::starts(config, &room).unwrap();
-        let simulator = |(robot, start)| (robot, fleet::simulator(config, &room, robot, start).unwrap());
+        let room = world::room(config).unwrap();
+        let starts = world::starts(config, &room).unwrap();
+        let simulator = |(robot, start)| (robot, world::simulator(config, &room, robot, start).unwrap());
         let stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
         let mut frames = bridge::frame::KEEPALIVE.to_vec();
         let mut register = |command, topic: String, class: &str| {

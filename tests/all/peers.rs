@@ -6,8 +6,8 @@ use bridge::frame::Side;
 use bridge::ros::{Message, Twist, encode};
 use formats::map_file::read_map;
 use mr_slam::config::FleetConfig;
-use mr_slam::fleet;
 use mr_slam::lockstep::Lockstep;
+use mr_slam::world;
 use msg::grid::{Occupancy, occupancy};
 use msg::pose::wrap_angle;
 use msg::{Grid, GridView, GroundTruth, Pose2, RobotId, Role, Scan, VelocityCommand};
@@ -55,11 +55,11 @@ impl Duo {
         let mut config = FleetConfig::default();
         (config.fleet.robots, config.fleet.starts) = (2, starts.to_vec());
         config.slam.map.robot_radius_m = robot_radius_m;
-        let room = fleet::room(&config).unwrap();
+        let room = world::room(&config).unwrap();
         let poses = config.configured_starts().unwrap();
         let member = |(robot, start): (RobotId, &Pose2)| Member {
             robot,
-            simulator: fleet::simulator(&config, &room, robot, *start).unwrap(),
+            simulator: world::simulator(&config, &room, robot, *start).unwrap(),
             slam: Slam::new(config.slam.clone()),
             scan: bytemuck::allocation::zeroed_box(),
             truth: GroundTruth { world_from_base: *start, ..GroundTruth::default() },

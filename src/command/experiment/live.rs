@@ -7,9 +7,9 @@ use crate::command::demo::OperatorProcess;
 use crate::command::fleet_args::FleetArgs;
 use crate::command::up::{self, FleetHooks, Report, UpArgs};
 use crate::config::{FleetConfig, RobotSource};
-use crate::fleet;
 use crate::run::Run;
 use crate::stop::Stop;
+use crate::world;
 use headset::HeadsetRobots;
 use headset::live::Headset;
 use headset::wireless::{Link, proxy};
@@ -44,7 +44,7 @@ pub fn run(
         headset: None,
     };
     if config.world == RobotSource::Headset {
-        people.robots = Some(fleet::headset_robots(config)?);
+        people.robots = Some(world::headset_robots(config)?);
     }
     let mut report = up::run(&session, &mut people, stop)?;
     // Its figures would be those of a part of the session.

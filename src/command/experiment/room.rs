@@ -1,8 +1,8 @@
 //! Comparison of the merged map with the room in which a headset's robots are: only the experiment knows that room.
 
 use crate::config::{FleetConfig, RobotSource};
-use crate::fleet::{self, FleetError};
 use crate::process::PLAN_RESOLUTION_M;
+use crate::world::{self, WorldError};
 use msg::{GridView, Pose2};
 use reports::{AgainstRoomView, AlignedView, FleetView};
 use telemetry::truth::ObservableArea;
@@ -14,12 +14,12 @@ pub const MERGED_MAP: &str = "merged_map";
 ///
 /// # Errors
 /// The room, or the robots' starts in it, cannot be used.
-pub fn compare(view: &mut FleetView, map: GridView<'_>, config: &FleetConfig) -> Result<(), FleetError> {
+pub fn compare(view: &mut FleetView, map: GridView<'_>, config: &FleetConfig) -> Result<(), WorldError> {
     if config.world != RobotSource::Headset {
         return Ok(());
     }
-    let room = fleet::room(config)?;
-    let starts = fleet::starts(config, &room)?;
+    let room = world::room(config)?;
+    let starts = world::starts(config, &room)?;
     // With unknown starts `map` is the first robot's map, which begins at its start.
     let world_from_map = match starts.first() {
         Some(first) if !config.fleet.starts_known => *first,

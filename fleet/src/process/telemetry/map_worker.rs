@@ -5,10 +5,10 @@
 
 use super::super::{Error, PLAN_RESOLUTION_M};
 use crate::config::{FleetConfig, RobotSource};
-use crate::fleet::{self, FleetError};
 use crate::job_thread::{JobRunner, JobWorker};
 use crate::realtime::work_in_background;
 use crate::run::Run;
+use crate::world::{self, WorldError};
 use ::telemetry::{MapChanges, MapFigures, MapMetrics, Telemetry};
 use msg::{Grid, Monotonic};
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -31,7 +31,7 @@ impl MapWorker {
     /// # Errors
     /// The configuration's room or starts cannot be used.
     pub fn new(run: &Run, plan: Option<Grid>) -> Result<Self, Error> {
-        let starts = fleet::starts_in_room(run)?;
+        let starts = world::starts_in_room(run)?;
         Ok(Self { metrics: MapMetrics::new(run.config.fleet.robots, plan, &starts), awaited_room: None })
     }
 
@@ -112,12 +112,12 @@ fn draw_room_in_background(run: &Run) -> Option<Receiver<Grid>> {
 }
 
 /// Returns the plan of a simulated room, frame `world`. Other worlds have none.
-pub fn room_plan(config: &FleetConfig) -> Result<Option<Grid>, FleetError> {
+pub fn room_plan(config: &FleetConfig) -> Result<Option<Grid>, WorldError> {
     match config.world {
         RobotSource::Simulator => {
-            let room = fleet::room(config)?;
+            let room = world::room(config)?;
             let starts_m: Vec<_> =
-                fleet::starts(config, &room)?.iter().map(|start| [start.x_m, start.y_m]).collect();
+                world::starts(config, &room)?.iter().map(|start| [start.x_m, start.y_m]).collect();
             Ok(Some(room.floor_plan_from(PLAN_RESOLUTION_M, &starts_m)))
         }
         RobotSource::Headset | RobotSource::Ros | RobotSource::Robots => Ok(None),

@@ -4,10 +4,10 @@ use super::client::Client;
 use super::queues::Network;
 use super::tcp::Port;
 use crate::clock::Epoch;
-use crate::fleet;
 use crate::ports::Clock;
 use crate::process::Error;
 use crate::run::Run;
+use crate::world;
 use headset::{CLOCK_AHEAD, HeadsetRobots};
 use msg::Monotonic;
 use sim::Simulator;
@@ -42,7 +42,7 @@ impl Headset {
     /// # Errors
     /// The room, or a robot's start in it, cannot be used.
     pub fn new(network: &Rc<Network>, port: &Rc<Port>, run: &Run) -> Result<Self, Error> {
-        let mut robots = fleet::headset_robots(&run.config)?;
+        let mut robots = world::headset_robots(&run.config)?;
         robots.set_time(run.epoch.stamp(network.clock().now()) + CLOCK_AHEAD);
         Ok(Self {
             robots,

@@ -3,10 +3,10 @@
 use super::state_file::SavedZones;
 use crate::channel;
 use crate::config::LABORATORY;
-use crate::fleet;
-use crate::fleet::FleetError;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
+use crate::world;
+use crate::world::WorldError;
 use msg::{
     ExclusionZone, ExclusionZones, Stamp, ZONE_ANSWERS_MAX, ZONES_MAX, ZoneAction, ZoneAnswer, ZoneCommand,
     ZoneRefusal,
@@ -52,7 +52,7 @@ impl<P: Ports> Zones<P> {
     ///
     /// Robots whose starts are unknown do not know where the room lies in their map, nor do those that begin with the session of
     /// another run: its map is where that run's robots started.
-    pub(super) fn add_furniture(&mut self, run: &Run) -> Result<(), FleetError> {
+    pub(super) fn add_furniture(&mut self, run: &Run) -> Result<(), WorldError> {
         let config = &run.config;
         let fleet = &config.fleet;
         let is_file = fleet.room != LABORATORY && Room::parse_generated(&fleet.room).is_none();
@@ -61,8 +61,8 @@ impl<P: Ports> Zones<P> {
         if !fleet.furniture_zones || !is_placed || !is_file {
             return Ok(());
         }
-        let room = fleet::room(config)?;
-        let starts = fleet::starts(config, &room)?;
+        let room = world::room(config)?;
+        let starts = world::starts(config, &room)?;
         let is_clear = |piece: &&Furniture| {
             starts.iter().all(|start| !piece.is_near([start.x_m, start.y_m], START_MARGIN_M))
         };

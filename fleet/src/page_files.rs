@@ -16,7 +16,7 @@ macro_rules! file {
         PageFile {
             path: $path,
             content_type: $content_type,
-            bytes: include_bytes!(concat!("../page/", $name)),
+            bytes: include_bytes!(concat!("../../page/", $name)),
         }
     };
 }

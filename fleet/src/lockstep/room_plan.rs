@@ -1,8 +1,8 @@
 //! The plan of a fleet's room, computed once for all runs of a program in the same room: it takes as long as some ten seconds of a run.
 
 use crate::config::{FleetConfig, RobotSource, room};
-use crate::fleet::FleetError;
 use crate::process::telemetry::map_worker::room_plan;
+use crate::world::WorldError;
 use msg::Grid;
 use std::collections::VecDeque;
 use std::fs;
@@ -20,7 +20,7 @@ type RoomKey = (String, Vec<Option<(u64, SystemTime)>>);
 static PLANS: Mutex<VecDeque<(RoomKey, Option<Grid>)>> = Mutex::new(VecDeque::new());
 
 /// Returns the plan of the room, as [`room_plan`] does.
-pub(super) fn cached_room_plan(config: &FleetConfig) -> Result<Option<Grid>, FleetError> {
+pub(super) fn cached_room_plan(config: &FleetConfig) -> Result<Option<Grid>, WorldError> {
     if config.world != RobotSource::Simulator {
         return room_plan(config);
     }

@@ -28,7 +28,6 @@ pub use queues::MessageObserver;
 
 use crate::channel::{self, Opener, Program};
 use crate::config::FleetConfig;
-use crate::fleet;
 use crate::ports::{Clock, Ports};
 use crate::process::bridge::feeds::open_feeds;
 use crate::process::record::Recording;
@@ -37,6 +36,7 @@ use crate::processes::ProcessRow;
 use crate::recording_files::RecordingFiles;
 use crate::run::Run;
 use crate::spare_time::JobExecutor;
+use crate::world;
 use crate::{session_records, sessions};
 use ::bridge::Transport;
 use ::headset::wireless::Link;
@@ -105,7 +105,7 @@ impl Lockstep {
     /// # Errors
     /// As [`Lockstep::new`].
     pub fn with_faults(config: &FleetConfig, together: bool, faults: FaultPlan) -> Result<Self, Error> {
-        fleet::check(config)?;
+        world::check(config)?;
         Self::with_operator(config, together, faults)
     }
 
@@ -123,7 +123,7 @@ impl Lockstep {
     /// # Errors
     /// As [`Lockstep::new`].
     pub fn with_navigation(config: &FleetConfig, faults: FaultPlan) -> Result<Self, Error> {
-        fleet::check(config)?;
+        world::check(config)?;
         let mut fleet = Self::open(config, true, faults, true)?;
         fleet.people.operator.idle_until = Monotonic(u64::MAX);
         Ok(fleet)
@@ -152,7 +152,7 @@ impl Lockstep {
             observer: Observer::open(&network, &run)?,
             people: People::new(&network, &port, &run, together)?,
             members: rows.into_iter().map(|(row, robot)| Member::new(row, robot)).collect(),
-            known: fleet::known_starts(config)?,
+            known: world::known_starts(config)?,
             watch_due: Monotonic(0),
             selected: None,
             violations: Vec::new(),
@@ -198,7 +198,7 @@ impl Lockstep {
         let has_room = recording.has_room;
         config.fleet.furniture_zones &= has_room;
         match has_room {
-            true => fleet::check(&config)?,
+            true => world::check(&config)?,
             false => sessions::check(&config)?,
         }
         let mut fleet = Self::with_operator(&config, false, FaultPlan::none())?;

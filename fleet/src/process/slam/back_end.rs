@@ -82,7 +82,6 @@ impl<P: Ports> BackEndWorker<P> {
                 autosave: Autosave::new(run, robot, now),
                 log: SessionLog::new(run, robot, log_end),
                 frame,
-                frame_changes: 0,
                 front_number: 0,
                 map_changed: true,
                 pending: Vec::new(),
@@ -179,8 +178,6 @@ pub struct WorkerState {
     log: SessionLog,
     /// Frame of the map.
     pub(super) frame: MapFrame,
-    /// Changes of the map's frame that the back end counted and `frame` has.
-    frame_changes: u32,
     /// Number of the current or next front end: events of earlier ones are ignored.
     front_number: u32,
     /// The map has changed since it was drawn.
@@ -249,7 +246,8 @@ impl WorkerState {
     pub fn replace(&mut self, front: FrontEnd, back: BackEnd, keeps_pose: bool) {
         // Its scans may have older stamps, but readers need maps in order of time.
         let before = self.back.tiles().header;
-        (self.back, self.frame_changes) = (back, 0);
+        self.back = back;
+        self.frame.follow_anew();
         self.back.set_map_header(before.header, before.scan_sent);
         self.front_number += 1;
         self.mark_changed();
@@ -264,9 +262,7 @@ impl WorkerState {
     /// Numbers the frame anew if the map has become one of another frame, and saves at once: a process that is started again goes on in
     /// that frame.
     fn follow_frame(&mut self, robot: RobotId) {
-        let changes = self.back.map_frame_changes();
-        if std::mem::replace(&mut self.frame_changes, changes) != changes {
-            self.frame = self.frame.next();
+        if self.frame.follow(self.back.map_frame_changes()) {
             self.autosave.save_soon();
             tracing::warn!(
                 "slam of {robot}: the robot was not found in its map, and what it has mapped since is its map now; its frame is a new one"

@@ -7,7 +7,6 @@ use super::graph_worker::{self, FleetEstimate, FleetEstimateSlot, GraphWorkerPar
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
-use crate::fleet;
 use crate::merge_maps::{HeldMap, MapFiles, MapSlot, RestoredMaps};
 use crate::merge_state_file::MergeStateFile;
 use crate::ports::{
@@ -17,6 +16,7 @@ use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
+use crate::world;
 use ::merge::{FleetPoseGraph, Merger};
 use msg::{MAP_OLD_AFTER_S, MapTransforms, Monotonic, Pose2, PoseEstimate, ROBOTS_MAX, RobotId, Role};
 use std::sync::Arc;
@@ -42,7 +42,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 /// Restores the state of an earlier process of this run, and the robots' maps that it held: the transforms hold from the
 /// first map on.
 pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(GraphWorkerParts<S>, RestoredMaps), Error> {
-    let starts = fleet::known_starts_of_run(run)?;
+    let starts = world::known_starts_of_run(run)?;
     let mut graph = FleetPoseGraph::new(&run.config.merge, &starts);
     let state_file = MergeStateFile::restore(run, storage.clone(), &mut graph);
     let files = MapFiles::new(run, storage);

@@ -7,11 +7,11 @@ use super::faults::FaultPlan;
 use super::members::Member;
 use super::merged_map_check::MergedMapCheck;
 use crate::config::FleetConfig;
-use crate::fleet;
 use crate::ports::ReadMapPort;
 use crate::process::Error;
 use crate::sessions;
 use crate::storage::Storage;
+use crate::world;
 use msg::grid::known_count;
 use msg::{GroundTruth, Monotonic, Pose2, PoseEstimate, RobotId, Stamp, TrackingState};
 use sha2::{Digest, Sha256};
@@ -63,7 +63,7 @@ impl Checker {
     /// # Errors
     /// The configuration's room or starts cannot be used.
     pub fn new(config: &FleetConfig) -> Result<Self, Error> {
-        let starts = fleet::true_starts(config)?;
+        let starts = world::true_starts(config)?;
         let robots = RobotId::first(config.fleet.robots).zip(starts);
         let robots = robots.map(|(robot, world_from_start)| RobotChecker {
             robot,

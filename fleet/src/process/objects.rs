@@ -7,12 +7,12 @@ use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::clock::Epoch;
-use crate::fleet;
 use crate::ports::{Clock as _, Ports, ReadPort, WritePort};
 use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
+use crate::world;
 use msg::{GroundTruth, Monotonic, MovingObjects, Pose2, Role, Stamp};
 use sim::ObjectSimulator;
 use std::path::PathBuf;
@@ -64,8 +64,8 @@ impl<P: Ports, S: Storage> ObjectsProcess<P, S> {
     pub fn open(ports: &P, run: &Run, storage: S) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Objects, None)?;
         let config = &run.config;
-        let room = fleet::room(config)?;
-        let starts = fleet::starts(config, &room)?;
+        let room = world::room(config)?;
+        let starts = world::starts(config, &room)?;
         let mut objects = ObjectSimulator::new(&room, &config.sim.moving, &starts, config.fleet.seed);
         let (wished, found) = (config.sim.moving, objects.counts());
         if found != wished {

@@ -43,7 +43,7 @@ fn the_start_of_a_robot_that_loaded_a_map_of_another_frame_is_unknown() {
     run.config.sessions.begin_with.clone_from(&sessions);
     assert_eq!(known_starts(&run.config, vec![None; 3]).unwrap(), expected);
     // Merging that is started again knows no more.
-    assert_eq!(crate::fleet::known_starts_of_run(&run).unwrap()[..3], expected);
+    assert_eq!(crate::world::known_starts_of_run(&run).unwrap()[..3], expected);
 }
 
 #[test]

@@ -14,6 +14,8 @@ use std::path::{Path, PathBuf};
 pub struct MapFrame {
     /// The number; 0 is the frame in which the robot began.
     pub number: u32,
+    /// Changes that the back end counted and the number has.
+    changes: u32,
     file: PathBuf,
 }
 
@@ -30,7 +32,7 @@ impl MapFrame {
             clock.now().0 as u32 | 1 << 31
         };
         let number = sessions::read_frame(storage, &file).unwrap_or_else(|why| unknown(&why));
-        Self { number, file }
+        Self { number, changes: 0, file }
     }
 
     /// Returns the frame of a map that was loaded. `is_of_run`: a process of this run has saved it. Its frame is the same only while no
@@ -44,7 +46,21 @@ impl MapFrame {
 
     /// Returns the frame of a map that has another frame than before: nothing is known of where it lies in that one.
     pub fn next(&self) -> Self {
-        Self { number: self.number.wrapping_add(1).max(1), file: self.file.clone() }
+        Self { number: self.number.wrapping_add(1).max(1), ..self.clone() }
+    }
+
+    /// Numbers the frame anew if the back end has counted a change since; returns whether it has.
+    pub fn follow(&mut self, changes: u32) -> bool {
+        let has_changed = std::mem::replace(&mut self.changes, changes) != changes;
+        if has_changed {
+            *self = self.next();
+        }
+        has_changed
+    }
+
+    /// Begins to follow another back end, which has counted no change.
+    pub fn follow_anew(&mut self) {
+        self.changes = 0;
     }
 
     /// Returns the frame if its number must be saved with the session: it is not the one in which the robot began.

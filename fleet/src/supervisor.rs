@@ -7,7 +7,6 @@ use crate::child_process::{describe_end, own_program, signal, spawn};
 use crate::clock::{RESTARTS_VARIABLE, now};
 use crate::emergency_stop_file::latch_stop;
 use crate::end_grace::{END_GRACE, EndGrace, WRITER_END_GRACE};
-use crate::fleet;
 use crate::process::control::saved_state::stop_file;
 use crate::processes::ProcessRow;
 use crate::progress::{self, ProgressBoard, WatchedThread};
@@ -18,6 +17,7 @@ use crate::sessions;
 use crate::stop::Stop;
 use crate::storage::DiskStorage;
 use crate::watchdog::{Finding, Watchdog};
+use crate::world;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use rustix::process::Signal;
 use std::io;
@@ -28,7 +28,7 @@ use std::process::{Child, ExitStatus, Stdio};
 use std::time::Duration;
 
 /// Longest time until a process's first pass of its loop: it reads its room and its session.
-pub(crate) const START_MAX: Duration = Duration::from_secs(10);
+pub const START_MAX: Duration = Duration::from_secs(10);
 /// Longest time without a pass of a process's second thread, which computes for long.
 const SECOND_SILENCE_MAX: Duration = Duration::from_secs(10);
 
@@ -182,7 +182,7 @@ impl Supervisor {
             self.starts_error = None;
             return;
         }
-        let is_own_frame = fleet::has_own_frame(&self.run.config);
+        let is_own_frame = world::has_own_frame(&self.run.config);
         let written = sessions::write_starts(&folder, &self.starts, is_own_frame);
         let dir = folder.display();
         match written {
@@ -389,8 +389,8 @@ mod tests {
         // After the slowest process the launcher writes maps and report.
         let least = WRITER_END_GRACE * 2;
         for unit in [
-            include_str!("../packaging/mr-slam-base.service"),
-            include_str!("../packaging/mr-slam-robot.service"),
+            include_str!("../../packaging/mr-slam-base.service"),
+            include_str!("../../packaging/mr-slam-robot.service"),
         ] {
             let line = unit.lines().find_map(|line| line.strip_prefix("TimeoutStopSec="));
             let seconds = Duration::from_secs(line.unwrap().parse().unwrap());

@@ -1,8 +1,8 @@
 //! What a recording is of: the metadata at the beginning of each file.
 
 use crate::config::{RobotSource, room};
-use crate::fleet;
 use crate::run::Run;
+use crate::world;
 use recording::{METADATA, RecordingReader};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -25,7 +25,7 @@ pub fn of_run(run: &Run) -> BTreeMap<String, String> {
     let is_simulated = config.world == RobotSource::Simulator;
     // A room that cannot be read any more says nothing.
     let digest = is_simulated.then(|| room::sha256(&config.fleet.room).ok().flatten()).flatten();
-    let starts = || fleet::room(config).and_then(|room| fleet::starts(config, &room)).ok();
+    let starts = || world::room(config).and_then(|room| world::starts(config, &room)).ok();
     let starts = is_simulated.then(starts).flatten().map(|starts| {
         let starts: Vec<_> = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
         serde_json::json!(starts).to_string()

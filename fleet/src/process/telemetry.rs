@@ -13,12 +13,12 @@ use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::clock::now;
 use crate::config::RobotSource;
-use crate::fleet;
 use crate::job_thread::{JobThread, JobWorker};
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
 use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
+use crate::world;
 use ::telemetry::{MapChanges, MapFigures, Telemetry};
 use map_worker::{MapHandover, MapWorker};
 use msg::{
@@ -65,7 +65,7 @@ impl<P: Ports, W: JobWorker<MapChanges, MapFigures>> TelemetryProcess<P, W> {
     /// `maps_lead` before the figures are due.
     pub fn open(ports: &P, run: &Run, map_worker: W, maps_lead: Duration) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Telemetry, None)?;
-        let starts = fleet::starts_in_room(run)?;
+        let starts = world::starts_in_room(run)?;
         let clock = ports.clock();
         let mut telemetry = Telemetry::new(run.config.fleet.robots, &starts, clock.now());
         if run.config.world == RobotSource::Robots {

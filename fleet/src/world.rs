@@ -14,7 +14,7 @@ use std::time::Duration;
 
 /// Reason why a world cannot be built.
 #[derive(Debug, thiserror::Error)]
-pub enum FleetError {
+pub enum WorldError {
     /// The room cannot be loaded.
     #[error(transparent)]
     Room(#[from] RoomLoadError),
@@ -60,17 +60,17 @@ const OPEN_EDGE_MIN_M: f64 = 0.5;
 static WARNED_OF_EDGE: Once = Once::new();
 
 /// Loads the configured room.
-pub fn room(config: &FleetConfig) -> Result<Room, FleetError> {
+pub fn room(config: &FleetConfig) -> Result<Room, WorldError> {
     Ok(room::load(&config.fleet.room)?)
 }
 
 /// Returns each robot's start pose: `world` from its `robotK/map`, whose origin is there.
-pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetError> {
+pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, WorldError> {
     match config.configured_starts() {
         Some(starts) => check_distances(&starts).map(|()| starts),
         None => room
             .starts(config.fleet.robots)
-            .map_err(|source| FleetError::Starts { path: config.fleet.room.clone(), source }),
+            .map_err(|source| WorldError::Starts { path: config.fleet.room.clone(), source }),
     }
 }
 
@@ -79,7 +79,7 @@ pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetErro
 /// If they are unknown (as configured, or in an external world without a room), the first robot's map is the reference
 /// and merging has to find the others. A fleet that begins with sessions uses the transforms that were saved with
 /// them.
-pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
+pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, WorldError> {
     let first = |robot: RobotId| (robot.number() == 1).then_some(Pose2::IDENTITY);
     let alone = || RobotId::first(config.fleet.robots).map(first).collect();
     if !config.fleet.starts_known {
@@ -93,7 +93,7 @@ pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetErr
 
 /// Returns the same transforms for a process of a run that has begun. Those of robots that have loaded a map of another frame in this
 /// run are unknown.
-pub fn known_starts_of_run(run: &Run) -> Result<Vec<Option<Pose2>>, FleetError> {
+pub fn known_starts_of_run(run: &Run) -> Result<Vec<Option<Pose2>>, WorldError> {
     let mut starts = match sessions::continued_starts(run)? {
         Some(starts) => starts,
         None => known_starts(&run.config)?,
@@ -110,7 +110,7 @@ pub fn has_own_frame(config: &FleetConfig) -> bool {
 
 /// Returns where each robot's map truly begins in the room, in a simulation; unknown for maps of an earlier run that are in a frame of
 /// their own.
-pub fn starts_in_room(run: &Run) -> Result<Vec<Option<Pose2>>, FleetError> {
+pub fn starts_in_room(run: &Run) -> Result<Vec<Option<Pose2>>, WorldError> {
     let config = &run.config;
     let mut starts = true_starts(config)?;
     if let Some(folder) = config.sessions.folder().filter(|folder| sessions::have_own_frame(folder)) {
@@ -128,7 +128,7 @@ pub fn starts_in_room(run: &Run) -> Result<Vec<Option<Pose2>>, FleetError> {
 
 /// Returns the true transform of each robot's map if it is known: in a simulation from `world`, otherwise from `map`
 /// as configured.
-pub fn true_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
+pub fn true_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, WorldError> {
     let begun = match config.configured_starts() {
         None if config.world.is_external() => vec![None; config.fleet.robots],
         None => starts(config, &room(config)?)?.into_iter().map(Some).collect(),
@@ -149,22 +149,22 @@ pub fn simulator(
     room: &Room,
     robot: RobotId,
     world_from_start: Pose2,
-) -> Result<Simulator, FleetError> {
+) -> Result<Simulator, WorldError> {
     Simulator::new(room, &config.sim, robot, world_from_start, config.fleet.seed)
-        .map_err(|source| FleetError::Start { robot, source })
+        .map_err(|source| WorldError::Start { robot, source })
 }
 
 /// Creates the robots of a headset's application, at their starts in the configured room.
-pub fn headset_robots(config: &FleetConfig) -> Result<HeadsetRobots, FleetError> {
+pub fn headset_robots(config: &FleetConfig) -> Result<HeadsetRobots, WorldError> {
     let room = room(config)?;
     let starts = starts(config, &room)?;
     let simulators = RobotId::first(config.fleet.robots).zip(starts);
     let simulators = simulators.map(|(robot, start)| Ok((simulator(config, &room, robot, start)?, start)));
-    Ok(HeadsetRobots::new(config.robot_names(), simulators.collect::<Result<Vec<_>, FleetError>>()?))
+    Ok(HeadsetRobots::new(config.robot_names(), simulators.collect::<Result<Vec<_>, WorldError>>()?))
 }
 
 /// Checks that the whole fleet can be built, before anything is started.
-pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
+pub fn check(config: &FleetConfig) -> Result<(), WorldError> {
     sessions::check(config)?;
     if config.world.is_external() {
         return Ok(());
@@ -187,12 +187,12 @@ pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
 }
 
 /// Checks that no two robots start in one place.
-fn check_distances(starts: &[Pose2]) -> Result<(), FleetError> {
+fn check_distances(starts: &[Pose2]) -> Result<(), WorldError> {
     for (a, here) in RobotId::first(starts.len()).zip(starts) {
         for (b, there) in RobotId::first(starts.len()).zip(starts).skip(a.number()) {
             let apart_m = here.distance_m(*there);
             if apart_m < START_APART_MIN_M {
-                return Err(FleetError::StartsTooNear { a, b, apart_m });
+                return Err(WorldError::StartsTooNear { a, b, apart_m });
             }
         }
     }

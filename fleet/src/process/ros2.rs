@@ -7,10 +7,10 @@ use crate::channel;
 use crate::clock::now;
 use crate::config::RobotSource;
 use crate::event_loop;
-use crate::fleet;
 use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
+use crate::world;
 use ::bridge::dds::{DdsEndpoint, DdsQueues};
 use ::bridge::{Bridge, FleetMessage};
 use msg::{Clock, Role, VelocityCommand};
@@ -76,7 +76,7 @@ async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, queues: Arc<DdsQueues>) {
     let publish_time = async {
         while !has_clock.get() {
             let mut clock = Clock::default();
-            clock.header.stamp = fleet::stamp_now(run.epoch);
+            clock.header.stamp = world::stamp_now(run.epoch);
             bridge.publish(FleetMessage::Clock(&clock));
             tokio::time::sleep(CLOCK_PERIOD).await;
         }

@@ -3,11 +3,11 @@
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
-use crate::fleet;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
 use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
+use crate::world;
 use msg::{
     Clock, GroundTruth, Monotonic, MovingObjects, Odometry, Pose2, RobotId, Role, Scan, Stamp, Transforms,
     VelocityCommand,
@@ -63,12 +63,12 @@ impl<P: Ports> SimulatorProcess<P> {
         let heartbeat = Heartbeat::new(ports, run, Role::Sim, Some(robot))?;
         let inputs = Inputs::open(ports, run, robot)?;
         let outputs = Outputs::open(ports, robot)?;
-        let room = fleet::room(&run.config)?;
-        let start = fleet::starts(&run.config, &room)?[robot.index()];
-        let at_start = || fleet::simulator(&run.config, &room, robot, start);
+        let room = world::room(&run.config)?;
+        let start = world::starts(&run.config, &room)?[robot.index()];
+        let at_start = || world::simulator(&run.config, &room, robot, start);
         // The old pose may touch a table; the robot then begins at its start.
         let mut simulator = match world_from_base {
-            Some(pose) => fleet::simulator(&run.config, &room, robot, pose).or_else(|why| {
+            Some(pose) => world::simulator(&run.config, &room, robot, pose).or_else(|why| {
                 tracing::warn!(
                     "{robot} cannot continue from x {:.3} m, y {:.3} m and begins at its start: {why}",
                     pose.x_m,
@@ -80,7 +80,7 @@ impl<P: Ports> SimulatorProcess<P> {
         };
         let clock = ports.clock();
         simulator.set_time(run.epoch.stamp(clock.now()));
-        let tick_offset = fleet::tick_offset(robot, run.config.fleet.robots);
+        let tick_offset = world::tick_offset(robot, run.config.fleet.robots);
         Ok(Self { simulator, inputs, outputs, heartbeat, clock, epoch: run.epoch, tick_offset })
     }
 
