@@ -1,35 +1,14 @@
 //! Tool `mr-slam worker ROLE`, which runs one process of a fleet, as the supervisor starts it.
 
 use super::Error;
-use crate::process::{self, Process, ProcessArgs, RobotArgs};
+use crate::process::{self, Process};
 
 /// Run one process of a fleet; started by `up`
 #[derive(Clone, Debug, clap::Args)]
 pub struct WorkerArgs {
-    /// Role of the process.
+    /// Process to run.
     #[command(subcommand)]
-    role: Role,
-}
-
-/// Roles, named as in `mr-slam status`.
-#[derive(Clone, Debug, clap::Subcommand)]
-enum Role {
-    /// Simulate one robot
-    Sim(RobotArgs),
-    /// Run the SLAM of one robot
-    Slam(RobotArgs),
-    /// Merge the robots' maps
-    Merge(ProcessArgs),
-    /// Measure the fleet
-    Telemetry(ProcessArgs),
-    /// Serve headsets and ROS 2
-    Bridge(ProcessArgs),
-    /// Drive robots to goals
-    Nav(ProcessArgs),
-    /// Record the fleet's messages
-    Record(ProcessArgs),
-    /// Move people, doors and boxes of the simulated room
-    Objects(ProcessArgs),
+    process: Process,
 }
 
 /// Ends the process when any of its threads or tasks panics, after the message. What is left without one of them would look
@@ -45,14 +24,5 @@ pub(super) fn abort_on_panic() {
 /// Runs the process until it is asked to stop.
 pub fn run(args: &WorkerArgs) -> Result<(), Error> {
     abort_on_panic();
-    process::run(&match args.role.clone() {
-        Role::Sim(args) => Process::Sim(args),
-        Role::Slam(args) => Process::Slam(args),
-        Role::Merge(args) => Process::Merge(args),
-        Role::Telemetry(args) => Process::Telemetry(args),
-        Role::Nav(args) => Process::Nav(args),
-        Role::Bridge(args) => Process::Bridge(args),
-        Role::Record(args) => Process::Record(args),
-        Role::Objects(args) => Process::Objects(args),
-    })
+    process::run(&args.process)
 }

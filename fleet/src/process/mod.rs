@@ -109,24 +109,24 @@ pub struct RobotArgs {
 /// Any error that ends a process.
 pub type Error = Box<dyn std::error::Error>;
 
-/// A process of the fleet with its arguments.
-#[derive(Clone, Debug)]
+/// A process of the fleet with its arguments: the subcommands of `mr-slam worker`, named as in `mr-slam status`.
+#[derive(Clone, Debug, clap::Subcommand)]
 pub enum Process {
-    /// Simulator of one robot in its room.
+    /// Simulate one robot
     Sim(RobotArgs),
-    /// SLAM of one robot.
+    /// Run the SLAM of one robot
     Slam(RobotArgs),
-    /// Merging of the robots' maps into the fleet's map.
+    /// Merge the robots' maps
     Merge(ProcessArgs),
-    /// Telemetry: the fleet's figures.
+    /// Measure the fleet
     Telemetry(ProcessArgs),
-    /// The bridge: ros_tcp clients and ROS 2.
+    /// Serve headsets and ROS 2
     Bridge(ProcessArgs),
-    /// Navigation of the robots to goals.
+    /// Drive robots to goals
     Nav(ProcessArgs),
-    /// The recorder of the fleet's messages.
+    /// Record the fleet's messages
     Record(ProcessArgs),
-    /// Simulation of the people, doors and boxes that move in the room.
+    /// Move people, doors and boxes of the simulated room
     Objects(ProcessArgs),
 }
 
