@@ -73,6 +73,17 @@ pub enum PermissionError {
     },
 }
 
+/// Text for a client that may drive from now on.
+pub(crate) const DRIVE_PERMITTED: &str = "you may drive now";
+
+/// Returns what a text of the bridge to a client says of its permission to drive; `None`: nothing. Clients on TCP get it in no other way.
+pub fn drive_permission(text: &str) -> Option<bool> {
+    if text.contains(DRIVE_PERMITTED) {
+        return Some(true);
+    }
+    text.contains(&format!("may not {}", Action::Drive)).then_some(false)
+}
+
 /// Why an address cannot be added to a list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum AddressListFull {
@@ -263,6 +274,24 @@ mod tests {
         access.deny(address).unwrap();
         assert!(access.check(Action::Drive, address).is_err());
         assert!(access.waiting().is_empty(), "the operator is not asked again");
+    }
+
+    #[test]
+    fn a_client_understands_each_refusal_to_drive_and_the_permission() {
+        let address = IpAddr::from([192, 168, 1, 20]);
+        let of = |action| {
+            [
+                PermissionError::NotAllowed { address, action },
+                PermissionError::NotListed { address, action },
+                PermissionError::Denied { address, action },
+            ]
+        };
+        for (action, expected) in [(Action::Drive, Some(false)), (Action::Watch, None), (Action::Stop, None)]
+        {
+            assert!(of(action).iter().all(|why| drive_permission(&why.to_string()) == expected), "{action}");
+        }
+        assert_eq!(drive_permission(DRIVE_PERMITTED), Some(true));
+        assert_eq!(drive_permission("robot2 is driven by 192.168.1.20"), None);
     }
 
     #[test]

@@ -37,7 +37,7 @@ mod teleop;
 mod transport;
 pub mod world;
 
-pub use access::AddressListFull;
+pub use access::{AddressListFull, drive_permission};
 pub use battery::{BatteryLevel, BatteryStatus};
 pub use bridge::{Bridge, ClientStatus};
 pub use config::{

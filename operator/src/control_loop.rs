@@ -209,6 +209,7 @@ impl<'a> ControlLoop<'a> {
             commands: self.published,
             map: received.world.merged_map().map(|map| MapReport::of(&map)),
             link,
+            not_permitted: received.not_permitted.clone(),
             notices: received.server_texts.iter().cloned().collect(),
         })
     }

@@ -106,6 +106,17 @@ pub enum OperatorError {
         /// Port that was tried.
         port: u16,
     },
+    /// No robot's scan came during the whole run.
+    #[error("{address} sent no scan of any robot in {seconds:.0} s: do the robots measure (mr-slam status)?")]
+    NoScans {
+        /// Address of the bridge.
+        address: String,
+        /// Time from the first attempt to connect to the end, seconds.
+        seconds: f64,
+    },
+    /// The bridge refused to let this operator drive, until the end.
+    #[error("the operator could not drive until the end: {0}")]
+    NotPermitted(String),
     /// The bridge listed no robot during the whole run.
     #[error(
         "{address} lists {topics} topics but no /robotN/scan: are the fleet's simulators running (mr-slam status)? Robots \
@@ -125,6 +136,8 @@ pub(crate) struct Received {
     world: WorldState,
     listed_robots: BTreeSet<RobotId>,
     listed_topics: usize,
+    /// Newest text of the bridge that this client may not drive; `None` if it may.
+    not_permitted: Option<String>,
     last_error: Option<String>,
     server_texts: VecDeque<String>,
 }
@@ -254,6 +267,7 @@ impl Received {
             robots,
             listed_robots: BTreeSet::new(),
             listed_topics: 0,
+            not_permitted: None,
             last_error: None,
             server_texts: VecDeque::new(),
         }
@@ -267,6 +281,11 @@ impl Received {
     }
 
     fn store_server_text(&mut self, text: String) {
+        match bridge::drive_permission(&text) {
+            Some(true) => self.not_permitted = None,
+            Some(false) => self.not_permitted = Some(text.clone()),
+            None => {}
+        }
         if self.server_texts.back() == Some(&text) {
             return;
         }

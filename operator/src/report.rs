@@ -1,5 +1,6 @@
 //! Report of a run, serialised for programs and displayed for people.
 
+use crate::OperatorError;
 use crate::link_statistics::{LinkReport, Percentiles, StreamReport};
 use bridge::ros::OccupancyGrid;
 use nav::ExplorationStats;
@@ -22,6 +23,8 @@ pub struct OperatorReport {
     pub map: Option<MapReport>,
     /// Statistics of what arrived.
     pub link: LinkReport,
+    /// Text of the bridge that the operator may not drive, if that was so at the end.
+    pub not_permitted: Option<String>,
     /// Newest texts of the bridge.
     pub notices: Vec<String>,
 }
@@ -91,6 +94,22 @@ impl MapReport {
             free_m2: area_m2(0..=FREE_PERCENT_MAX),
             occupied_m2: area_m2(OCCUPIED_PERCENT_MIN..=100),
         }
+    }
+}
+
+impl OperatorReport {
+    /// Checks that the operator did its work.
+    ///
+    /// # Errors
+    /// No scan came, or the operator may not drive.
+    pub fn check(&self) -> Result<(), OperatorError> {
+        if let Some(why) = &self.not_permitted {
+            return Err(OperatorError::NotPermitted(why.clone()));
+        }
+        if self.link.scans.iter().all(|robot| robot.scans.received == 0) {
+            return Err(OperatorError::NoScans { address: self.address.clone(), seconds: self.seconds });
+        }
+        Ok(())
     }
 }
 

@@ -3,7 +3,8 @@
 mod fleet;
 
 use super::*;
-use fleet::spawn_fleet;
+use bridge::BridgeConfig;
+use fleet::{spawn_fleet, spawn_fleet_with};
 use nav::test_world::TestWorld;
 use std::sync::Arc;
 
@@ -97,6 +98,35 @@ fn robots_with_any_names_are_driven() {
         assert_eq!((report.robots.len(), report.link.scans.len()), (names.len(), names.len()));
         assert!(report.notices.is_empty(), "{:?}", report.notices);
     }
+}
+
+#[test]
+fn an_operator_that_may_not_drive_has_failed_and_says_why() {
+    /// Steps of the world, 1 s, in which the bridge's refusal arrives.
+    const STEPS: u64 = 20;
+    let stop = Arc::new(AtomicBool::new(false));
+    let config = BridgeConfig { trust_loopback: false, ..BridgeConfig::default() };
+    let steps = std::sync::atomic::AtomicU64::new(0);
+    let is_refused = move |_: &TestWorld, bridge: &bridge::Bridge| {
+        !bridge.waiting_addresses().is_empty() && steps.fetch_add(1, Ordering::Relaxed) > STEPS
+    };
+    let fleet = spawn_fleet_with(config, 1.into(), stop.clone(), is_refused);
+    let report = run(&args(fleet.port), &stop).unwrap();
+    fleet.thread.join().unwrap();
+    let said = report.check().unwrap_err().to_string();
+    assert!(said.contains("127.0.0.1 may not drive yet") && said.contains("mr-slam allow"), "{said}");
+}
+
+#[test]
+fn an_operator_that_got_no_scans_has_failed() {
+    let stop = Arc::new(AtomicBool::new(false));
+    let fleet = spawn_fleet(1.into(), stop.clone(), |world| world.turned_rad(0).abs() > 0.1);
+    let mut report = run(&args(fleet.port), &stop).unwrap();
+    fleet.thread.join().unwrap();
+    assert_eq!(report.check(), Ok(()));
+    report.link.scans.clear();
+    let said = report.check().unwrap_err().to_string();
+    assert!(said.contains("no scan of any robot") && said.contains(&report.address), "{said}");
 }
 
 #[test]

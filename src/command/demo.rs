@@ -98,7 +98,8 @@ impl OperatorProcess {
         let Some(Ok(Some(status))) = self.child.as_mut().map(Child::try_wait) else { return };
         self.child = None;
         let report = self.take_report();
-        if status.success() {
+        // An operator that has printed its report is at its end, also if the report says that it could not drive.
+        if status.success() || report.is_some() {
             (self.report, self.is_done) = (report, true);
             return;
         }

@@ -7,6 +7,7 @@ mod session;
 mod summary;
 mod virtual_time;
 
+use super::exit_code::UsageError;
 use super::fleet_args::{FleetArgs, Starts};
 use super::{Error, output};
 use crate::config::{FleetConfig, RobotSource, room as room_files};
@@ -110,10 +111,9 @@ impl Experiment {
             RobotSource::Simulator => LinkChoice::Loopback,
             RobotSource::Headset => LinkChoice::BusyWifi,
             RobotSource::Ros | RobotSource::Robots => {
-                return Err(
-                    "an experiment simulates its own world; expected world = \"simulator\" or \"headset\""
-                        .into(),
-                );
+                let why =
+                    "an experiment simulates its own world; expected world = \"simulator\" or \"headset\"";
+                return Err(UsageError(why.into()).into());
             }
         };
         if config.world == RobotSource::Headset && config.fleet.starts.is_empty() {
@@ -146,7 +146,8 @@ pub fn run(args: &ExperimentArgs, stop: &Stop) -> Result<(), Error> {
     let experiment = Experiment::new(args)?;
     let out = &experiment.out;
     if out.join("run.json").exists() {
-        return Err(format!("{}: has a run; choose another folder with --out", out.display()).into());
+        let why = format!("{}: has a run; choose another folder with --out", out.display());
+        return Err(UsageError(why).into());
     }
     let beside =
         args.beside.iter().map(|folder| summary::Results::read(folder)).collect::<Result<Vec<_>, _>>()?;

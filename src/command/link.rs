@@ -1,7 +1,12 @@
 //! Tools `mr-slam robot`, `mr-slam base` and `mr-slam router`: a fleet on several machines. The first two launch their
 //! processes and one `link` process.
 
+mod error;
+
+pub use error::LinkArgsError;
+
 use super::Error;
+use super::exit_code::UsageError;
 use super::up::{FleetHooks, UpArgs, run_or_detach};
 use crate::child_process::{own_program, spawn};
 use crate::clock::now;
@@ -28,34 +33,6 @@ const SESSION_POLL: Duration = Duration::from_millis(20);
 
 /// Longest time without a pass of the link's loop; then it is judged whether the process hangs.
 const SILENCE_MAX: Duration = Duration::from_secs(3);
-
-/// Reason why a machine cannot take part in a fleet on several machines.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum LinkArgsError {
-    /// The binary has no Zenoh.
-    #[error(
-        "this mr-slam was built without the link between machines; build one that has it with `cargo build --release \
-         --features link`"
-    )]
-    NotBuilt,
-    /// The option of `up` has no meaning: it is for several robots.
-    #[error("{0} has no meaning here: `--name` names the robot of this machine, and there is one")]
-    RobotOption(&'static str),
-    /// The base has no world of its own.
-    #[error(
-        "--world has no meaning here: the base's robots are on other machines; give it to `mr-slam robot`"
-    )]
-    BaseWorld,
-    /// Zenoh failed while it opened the session.
-    #[error("the link's session panicked while it was opened; it is started again")]
-    Panic,
-    /// Robots either join at the base or at a router.
-    #[error("--listen and --router exclude each other: the base listens for robots, or a router does")]
-    ListenAndRouter,
-    /// The base and a router must know their robots.
-    #[error("which robots may join? Give --names, such as --names alice,bob, or `names` in the fleet file")]
-    NoNames,
-}
 
 /// Run one robot on this machine, simulated or over ROS 2, with its SLAM, and join a base
 #[derive(Clone, Debug, clap::Args)]
@@ -133,7 +110,11 @@ impl ProtectionArgs {
             Some(folder) => folder.clone(),
             None => owner.folder(&super::keys::default_folder()?),
         };
-        KeyFiles::find(&folder)?;
+        let found = KeyFiles::find(&folder);
+        if let (Some(_), Err(why)) = (&self.keys, &found) {
+            return Err(UsageError(format!("--keys: {why}")).into());
+        }
+        found?;
         Ok(Some(std::path::absolute(&folder)?))
     }
 }

@@ -3,6 +3,7 @@
 mod exploration;
 
 use self::exploration::{ExplorationOutcome, WatchedExploration};
+use super::exit_code::UsageError;
 use super::fleet_args::FleetArgs;
 use super::{Error, output};
 use crate::config::FleetConfig;
@@ -160,7 +161,8 @@ fn draw_faults(args: &LockstepArgs) -> FaultPlan {
 fn simulated_config(args: &LockstepArgs) -> Result<FleetConfig, Error> {
     let config = args.fleet.config()?;
     if config.world.is_external() {
-        return Err("lockstep simulates its own world; expected world = \"simulator\"".into());
+        let why = "lockstep simulates its own world; expected world = \"simulator\"";
+        return Err(UsageError(why.into()).into());
     }
     check_room_stays(args, &config)?;
     Ok(config)
@@ -173,10 +175,10 @@ fn check_room_stays(args: &LockstepArgs, config: &FleetConfig) -> Result<(), Err
     let maps = robots.chain(["merged_map".into()]).map(|name| dir.join(name));
     let results: Vec<_> = maps.flat_map(|stem| written_files(&stem)).collect();
     match replaced_input(&results, &room::files(&config.fleet.room)) {
-        Some(path) => Err(format!(
+        Some(path) => Err(UsageError(format!(
             "{}: is the room, and a result of the run would replace it; expected another --run-dir, or a copy of the map",
             path.display()
-        )
+        ))
         .into()),
         None => Ok(()),
     }

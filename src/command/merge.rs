@@ -30,9 +30,12 @@ const REASON_CHARS_MAX: usize = 500;
 /// Reason why maps could not be merged.
 #[derive(Debug, thiserror::Error)]
 pub enum MergeMapsError {
-    /// A map file cannot be read or written.
+    /// A map cannot be read.
     #[error(transparent)]
-    File(#[from] MapFileError),
+    Input(MapFileError),
+    /// The merged map cannot be written.
+    #[error(transparent)]
+    File(MapFileError),
     /// The merger refuses a map.
     #[error("{}: {why}", file.display())]
     Refused {
@@ -90,7 +93,8 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
         check_output(out).map_err(Box::new)?;
         check_inputs_stay(&args.maps, out)?;
     }
-    let maps = args.maps.iter().map(|yaml| read_map_with_reasons(yaml)).collect::<Result<Vec<_>, _>>()?;
+    let maps = args.maps.iter().map(|yaml| read_map_with_reasons(yaml)).collect::<Result<Vec<_>, _>>();
+    let maps = maps.map_err(MergeMapsError::Input)?;
     let (maps, reasons): (Vec<Grid>, Vec<Vec<String>>) = maps.into_iter().unzip();
     let frame_from_lattice = maps[0].header.origin;
     let mut merger = start(args, &maps)?;
@@ -117,14 +121,16 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
         let origin = frame_from_lattice * merged.header.origin;
         let header = GridHeader { origin, ..*merged.header };
         let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
-        write_map_with_reasons(out, GridView { header: &header, cells: merged.cells }, &reasons)?;
+        write_map_with_reasons(out, GridView { header: &header, cells: merged.cells }, &reasons)
+            .map_err(MergeMapsError::File)?;
     }
     Ok(())
 }
 
 /// Refuses a result that would replace a file of the maps.
 fn check_inputs_stay(maps: &[PathBuf], out: &Path) -> Result<(), MergeMapsError> {
-    let read = maps.iter().map(|yaml| map_file::read_files(yaml)).collect::<Result<Vec<_>, _>>()?;
+    let read = maps.iter().map(|yaml| map_file::read_files(yaml)).collect::<Result<Vec<_>, _>>();
+    let read = read.map_err(MergeMapsError::Input)?;
     match replaced_input(&map_file::written_files(out), read.as_flattened()) {
         Some(file) => Err(MergeMapsError::Overwrites { file }),
         None => Ok(()),

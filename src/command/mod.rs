@@ -6,6 +6,7 @@ mod coordinates;
 pub mod demo;
 pub mod doctor;
 pub mod edges;
+mod exit_code;
 pub mod experiment;
 pub mod explore;
 mod first_states;
@@ -30,6 +31,8 @@ mod waiting;
 pub mod worker;
 pub mod zone;
 
+pub use exit_code::exit_code;
+
 use crate::stop::Stop;
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
@@ -40,10 +43,9 @@ pub type Error = Box<dyn std::error::Error>;
 /// What the help says below the tools.
 const FOR_PROGRAMS: &str = "With --json a tool prints JSON to standard output, and messages for people to standard error. \
      If it fails, its exit code is not 0 and the JSON says why: {\"error\": \"...\"}, or the result with \
-     its state or alarms.\n\nExit codes: 0 done; 1 failed; 2 the command line is wrong; 3 neither done nor failed: `stop` found no \
+     its state or alarms.\n\nExit codes: 0 done; 1 failed; 2 the command line, or a file that it names as input, is \
+     refused before anything is begun; 3 neither done nor failed: `stop` found no \
      running fleet of this user, or the fleet of `--detach` is still starting.";
-/// Exit code of a tool that has neither done what it was told nor failed.
-const EXIT_UNDONE: u8 = 3;
 
 /// Multi-robot SLAM for one operator: a fleet, its maps, and a bridge to headset and ROS 2
 #[derive(Parser)]
@@ -133,15 +135,6 @@ pub fn usage_error(why: &clap::Error) -> String {
     words.join(" ").trim_start_matches("error: ").to_owned()
 }
 
-/// Returns the exit code of a tool that ended with an error.
-pub fn exit_code(error: &Error) -> u8 {
-    let is_nothing_to_stop = error
-        .downcast_ref::<permissions::PermissionError>()
-        .is_some_and(permissions::PermissionError::is_nothing_to_stop);
-    let is_starting = matches!(error.downcast_ref(), Some(up::UpError::SlowStart { .. }));
-    if is_nothing_to_stop || is_starting { EXIT_UNDONE } else { 1 }
-}
-
 /// Runs the tool that the command line names.
 pub fn run(cli: Cli) -> Result<(), Error> {
     match cli.command {
@@ -182,6 +175,7 @@ pub fn run(cli: Cli) -> Result<(), Error> {
             let stop = args.launcher_pid.map_or_else(Stop::on_signals, Stop::for_child)?;
             let report = operator::run(&args, stop.flag())?;
             output::print_either(args.json, &report, || report.to_string() + "\n")?;
+            report.check()?;
         }
         Command::Lockstep(args) => lockstep::run(&args, &Stop::on_signals()?)?,
         Command::Experiment(args) => experiment::run(&args, &Stop::on_signals()?)?,
@@ -190,24 +184,4 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Worker(args) => worker::run(&args)?,
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use permissions::PermissionError;
-    use up::UpError;
-
-    #[test]
-    fn what_is_neither_done_nor_failed_has_an_exit_code_of_its_own_and_says_how_to_go_on() {
-        let starting = UpError::SlowStart { pid: 7, dir: "runs/a".into() };
-        let said = starting.to_string();
-        assert!(said.contains("`mr-slam status --run-dir runs/a`") && said.contains("kill 7"), "{said}");
-        let failed = UpError::Background { log: "launcher.log".into(), words: String::new() };
-        let not_stopped = PermissionError::NotStopped { failed: 1, all: 2 };
-        let nothing = [0, 2].map(|others| Error::from(PermissionError::NothingToStop { others }));
-        assert_eq!(nothing.each_ref().map(exit_code), [EXIT_UNDONE; 2]);
-        assert_eq!(exit_code(&starting.into()), EXIT_UNDONE);
-        assert_eq!([failed.into(), not_stopped.into(), "other".into()].each_ref().map(exit_code), [1; 3]);
-    }
 }

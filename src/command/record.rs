@@ -1,5 +1,6 @@
 //! Tool `mr-slam record`, which records a running fleet.
 
+use super::exit_code::UsageError;
 use super::run_args::RunArgs;
 use super::{Error, output};
 use crate::channel::{Opener, Program};
@@ -42,10 +43,10 @@ pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
     run.config.recording.validate()?;
     let (path, summary_path) = match &args.out {
         Some(path) if !is_named_as_recording(path) => {
-            return Err(format!(
+            return Err(UsageError(format!(
                 "{}: expected a name that ends in .mcap, which `mr-slam replay` reads",
                 path.display()
-            )
+            ))
             .into());
         }
         Some(path) => reserve(path)?,
@@ -86,7 +87,8 @@ fn is_named_as_recording(path: &Path) -> bool {
 /// Creates the file with the numbers of a recording at this path, so that no other recorder has it, and returns both paths.
 fn reserve(path: &Path) -> Result<(PathBuf, PathBuf), Error> {
     let taken = |path: &Path| -> Error {
-        format!("{}: exists already; choose another name for the recording", path.display()).into()
+        UsageError(format!("{}: exists already; choose another name for the recording", path.display()))
+            .into()
     };
     if let Some(folder) = path.parent().filter(|folder| *folder != Path::new("")) {
         formats::folder::create(folder)?;

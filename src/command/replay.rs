@@ -176,7 +176,8 @@ fn finish(args: &ReplayArgs, replayed: Replayed, truth: &[(Stamp, Pose2)]) -> Re
     }
     if let Some(path) = &args.save_session {
         let identity = SessionIdentity::new(0, 0, back.config());
-        session_file::write(path, &back.session(identity, Some(front.state()), front.samples()))?;
+        session_file::write(path, &back.session(identity, Some(front.state()), front.samples()))
+            .map_err(ReplayError::Session)?;
     }
     let drawing = Instant::now();
     let grid = back.map();
@@ -303,7 +304,8 @@ fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), R
     if session_file::is_map(path) && args.mode != Mode::Localization {
         return Err(ReplayError::MapOnly(path.clone()));
     }
-    let session = session_file::read_any(path, &SessionIdentity::new(0, 0, &config), &config)?;
+    let session = session_file::read_any(path, &SessionIdentity::new(0, 0, &config), &config)
+        .map_err(ReplayError::Begin)?;
     let [sigma_m, sigma_rad] = TOLD_SIGMA;
     let start = match args.at {
         Some(map_from_local) => InitialPose::Near(LocalFrameEstimate { map_from_local, sigma_m, sigma_rad }),

@@ -2,28 +2,29 @@
 
 mod console;
 mod detach;
+mod error;
 pub(super) mod page;
 mod pictures;
 mod report;
 mod screen;
 pub(super) mod system;
 
+pub use error::UpError;
 pub use pictures::{Pictures, write_html};
 pub use report::{Paper, Report, Spread};
 
 use super::fleet_args::FleetArgs;
-use crate::certificate::CertificateError;
 use crate::child_messages::ChildMessages;
 use crate::config::{ConfigError, FleetConfig, ValueError};
 use crate::observer::Observer;
 use crate::offered_room;
-use crate::resources::{self, ResourceMonitor, Shortage};
+use crate::resources::{self, ResourceMonitor};
 use crate::run::{Run, RunError, create_new_folder, folder_name_now, keep_earlier_results};
 use crate::sessions;
 use crate::shared_memory::DomainGuard;
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
-use crate::world::{self, WorldError};
+use crate::world;
 use bridge::dds::{Discovery, DiscoveryVariables};
 use console::OperatorConsole;
 pub use pictures::add_plots;
@@ -91,64 +92,6 @@ pub(super) struct SecondsError;
 
 pub(super) fn seconds(text: &str) -> Result<f64, SecondsError> {
     text.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or(SecondsError)
-}
-
-/// Reason why a fleet did not come up.
-#[derive(Debug, thiserror::Error)]
-pub enum UpError {
-    /// The fleet file or an option is out of range.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The world, the robots' starts or their sessions cannot be built.
-    #[error(transparent)]
-    World(#[from] WorldError),
-    /// The run's folder or shared memory cannot be used.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// The configured certificate of the operator's page cannot be used.
-    #[error("bridge.page.https: {0}")]
-    Certificate(#[from] CertificateError),
-    /// The TCP port cannot be listened on.
-    #[error("cannot listen on {address}:{port}: {why}; choose another with --port, or 0 for any")]
-    Port {
-        /// Address of the configuration.
-        address: String,
-        /// Port of the configuration.
-        port: u16,
-        /// Error of the operating system.
-        why: std::io::Error,
-    },
-    /// A process cannot be started.
-    #[error("cannot start the fleet: {0}")]
-    Start(#[from] std::io::Error),
-    /// The fleet in the background did not start.
-    #[error("the fleet did not start; its last words in {log}:\n{words}")]
-    Background {
-        /// Path of the log.
-        log: PathBuf,
-        /// End of the log.
-        words: String,
-    },
-    /// The fleet in the background lives, but its first process does not work yet.
-    #[error(
-        "the fleet (process {pid}) is still starting and has not failed: `mr-slam status --run-dir {dir}` says when it works, \
-         {dir}/launcher.log has its messages, and `kill {pid}` ends it"
-    )]
-    SlowStart {
-        /// Process id of the launcher.
-        pid: u32,
-        /// Folder of the run.
-        dir: String,
-    },
-    /// The machine has too little of a resource.
-    #[error(transparent)]
-    Shortage(#[from] Shortage),
-    /// Processes died again and again until the end. What there is of results is written.
-    #[error("not a whole fleet: {} died again and again until the end; the messages above say of what", .0.join(", "))]
-    Failing(Vec<String>),
-    /// Some results cannot be written. The others are there.
-    #[error("not everything was written: {}", .0.join("; "))]
-    NotWritten(Vec<String>),
 }
 
 impl UpArgs {
@@ -280,10 +223,10 @@ fn run_created(
     hooks: &mut dyn FleetHooks,
     stop: &Stop,
 ) -> Result<Report, UpError> {
-    let known = world::known_starts(&run.config)?;
+    let known = world::known_starts(&run.config).map_err(UpError::Begin)?;
     let (folder, begin_with) = (sessions::folder(run), run.config.sessions.folder());
     sessions::create_folder(&folder, &known, begin_with, world::has_own_frame(&run.config))
-        .map_err(WorldError::from)?;
+        .map_err(|why| UpError::Begin(why.into()))?;
     keep_earlier_results(&run.dir)?;
     let mut screen = Screen::new(run, args.in_background);
     check_resources(run, &mut screen)?;

@@ -195,3 +195,108 @@ fn results_that_cannot_be_printed_name_standard_output() {
         assert!(reported.contains("cannot write to standard output: No space left"), "{words:?}: {reported}");
     }
 }
+
+/// Runs a tool as a program would, and returns its exit code, the error in its JSON, and what is said to people.
+fn run_for_program(words: &[&str], folder: &std::path::Path) -> (Option<i32>, String, String) {
+    let mut tool = mr_slam();
+    let of_folder = ["TMPDIR", "XDG_RUNTIME_DIR", "XDG_STATE_HOME"];
+    tool.args(words).envs(of_folder.map(|name| (name, folder))).current_dir(folder);
+    let ended = tool.output().unwrap();
+    let json = serde_json::from_slice::<serde_json::Value>(&ended.stdout).unwrap_or_default();
+    let error = json["error"].as_str().unwrap_or_default().to_owned();
+    (ended.status.code(), error, String::from_utf8_lossy(&ended.stderr).into_owned())
+}
+
+#[test]
+fn a_wrong_command_line_ends_with_2_whatever_is_wrong_and_says_it_in_json() {
+    let temporary = Folder::new();
+    let (run, _lock) = pretend_run(&temporary, 1);
+    let at = |name: &str| temporary.path().join(name).display().to_string();
+    std::fs::write(at("wrong.toml"), "[fleet]\nrobots = 99\n").unwrap();
+    std::fs::write(at("unknown.toml"), "[fleet]\nrobot = 2\n").unwrap();
+    std::fs::write(at("empty.log"), "").unwrap();
+    std::fs::write(at("there.mcap"), "a recording").unwrap();
+    let [wrong, unknown, missing, empty] = ["wrong.toml", "unknown.toml", "missing", "empty.log"].map(at);
+    let [no_run, no_yaml, no_mcap, there] = ["no-run", "no.yaml", "a.bag", "there.mcap"].map(at);
+    let maps = vec![no_yaml.as_str(); 65];
+    let many_maps: Vec<&str> = [&["merge"][..], &maps, &["--json"]].concat();
+    let invocations: &[&[&str]] = &[
+        // Refused by the parser.
+        &[],
+        &["fly"],
+        &["status", "--no-such-option", "--json"],
+        &["lockstep", "--seconds", "0", "--json"],
+        &["goto", "1", "here", "--json"],
+        &["edges", "pin", "1", "--json"],
+        &["allow", "0.0.0.0", "--json"],
+        &["record", "--seconds", "-1", "--json"],
+        &["replay", &empty, "--at", "0,0,0", "--json"],
+        // Values that are checked together, and the fleet file.
+        &["up", "--robots", "65", "--port", "0"],
+        &["up", "--config", &wrong, "--port", "0"],
+        &["up", "--config", &unknown, "--port", "0"],
+        &["up", "--config", &missing, "--port", "0"],
+        &["up", "--names", "a b", "--port", "0"],
+        &["up", "--localize", "--port", "0"],
+        &["up", "--room", &missing, "--port", "0"],
+        &["up", "--sessions", &missing, "--port", "0"],
+        &["up", "--people", "99", "--port", "0"],
+        &["up", "--robots", "65", "--detach"],
+        &["demo", "--split-mb", "1", "--port", "0"],
+        &["lockstep", "--robots", "0", "--json"],
+        &["lockstep", "--world", "ros", "--json"],
+        &["lockstep", "--room", "office:x", "--json"],
+        &["lockstep", "--room", &missing, "--seconds", "1", "--json"],
+        &["experiment", "--world", "ros", "--fast", "--json"],
+        &["experiment", "--link-loss", "7", "--fast", "--json"],
+        &["experiment", "--fast", "--out", &run, "--json"],
+        &["experiment", "--fast", "--out", &missing, "--beside", &no_run, "--json"],
+        &["operator", "tour", "--seconds", "nan", "--json"],
+        &["operator", "tour", "--names", "a b", "--json"],
+        &["keys", "robot", "a b", "--keys", &missing],
+        // Inputs.
+        &["replay", &missing, "--json"],
+        &["replay", &empty, "--json"],
+        &["replay", &empty, "--fov-deg", "400", "--json"],
+        &["replay", &empty, "--serve", "--json"],
+        &["replay", &empty, "--mode", "localize", "--json"],
+        &["replay", &empty, "--trajectory", &empty, "--json"],
+        &["replay", &empty, "--config", &wrong, "--json"],
+        &["replay", &empty, &empty, "--json"],
+        &["merge", &no_yaml, &no_yaml, "--json"],
+        &many_maps,
+        // Of a running fleet.
+        &["status", "--run-dir", &no_run, "--json"],
+        &["goto", "9", "1,1", "--run-dir", &run, "--json"],
+        &["edges", "pin", "1", "1", "--run-dir", &run, "--json"],
+        &["edges", "undo", "1", "77", "--run-dir", &run, "--json"],
+        &["slam", "zebra", "state", "--run-dir", &run, "--json"],
+        &["slam", "1", "save", "maps/", "--run-dir", &run, "--json"],
+        &["zone", "add", "0,0", "2,2", "2,0", "0,2", "--run-dir", &run, "--json"],
+        &["record", "--split-mb", "0", "--run-dir", &run, "--json"],
+        &["record", "--out", &no_mcap, "--run-dir", &run, "--json"],
+        &["record", "--out", &there, "--run-dir", &run, "--json"],
+    ];
+    for words in invocations {
+        let (code, error, said) = run_for_program(words, temporary.path());
+        assert_eq!(code, Some(2), "{words:?}: {said}");
+        assert!(!said.is_empty(), "{words:?} says nothing");
+        assert_eq!(!error.is_empty(), words.contains(&"--json"), "{words:?}: {error} {said}");
+    }
+}
+
+#[test]
+fn what_the_machine_or_a_fleet_lacks_is_a_failure() {
+    let temporary = Folder::new();
+    for words in [
+        &["status", "--json"][..],
+        &["goto", "1", "0,0", "--json"],
+        &["slam", "1", "state", "--json"],
+        &["operator", "tour", "--seconds", "0.2", "--port", "1", "--json"],
+        &["lockstep", "--seconds", "1", "--robots", "1", "--run-dir", "/dev/null/folder", "--json"],
+        &["replay", "/dev/null", "--map", "/dev/null/folder/map", "--json"],
+    ] {
+        let (code, error, said) = run_for_program(words, temporary.path());
+        assert!(code == Some(1) && !error.is_empty(), "{words:?} ended with {code:?}: {said}");
+    }
+}

@@ -1,7 +1,7 @@
 //! Permissions of addresses, as the operator reads and changes them.
 
 use super::Bridge;
-use crate::access::{Action, AddressListFull};
+use crate::access::{Action, AddressListFull, DRIVE_PERMITTED};
 use crate::command::name;
 use crate::router::{Client, ClientId};
 use std::net::{IpAddr, SocketAddr};
@@ -39,7 +39,7 @@ impl Bridge {
             let there: Vec<ClientId> =
                 core.router.clients().filter(|client| is_same(client.peer)).map(|client| client.id).collect();
             for id in there {
-                core.router.send_notice(id, name::LOG, "you may drive now".into());
+                core.router.send_notice(id, name::LOG, DRIVE_PERMITTED.into());
             }
             Ok(())
         })

@@ -32,13 +32,23 @@ pub(super) fn spawn_fleet(
     stop: Arc<AtomicBool>,
     is_done: impl Fn(&TestWorld) -> bool + Send + 'static,
 ) -> Fleet {
+    spawn_fleet_with(BridgeConfig::default(), names, stop, move |world, _| is_done(world))
+}
+
+/// Starts a bridge with a configuration; `is_done` is asked at each step of the world.
+pub(super) fn spawn_fleet_with(
+    config: BridgeConfig,
+    names: RobotNames,
+    stop: Arc<AtomicBool>,
+    is_done: impl Fn(&TestWorld, &Bridge) -> bool + Send + 'static,
+) -> Fleet {
     let (ready, port) = mpsc::channel();
     let thread = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         LocalSet::new().block_on(&runtime, async move {
             let world = Rc::new(RefCell::new(TestWorld::new(names.count(), 3)));
             let driven = world.clone();
-            let bridge = Bridge::new(BridgeConfig::default(), names, move |robot, command| {
+            let bridge = Bridge::new(config, names, move |robot, command| {
                 let (linear_m_s, angular_rad_s) = (command.linear_m_s, command.angular_rad_s);
                 driven.borrow_mut().set_velocity(robot, Twist { linear_m_s, angular_rad_s });
             });
@@ -61,7 +71,7 @@ async fn run_world(
     bridge: &Bridge,
     world: &RefCell<TestWorld>,
     stop: &AtomicBool,
-    is_done: impl Fn(&TestWorld) -> bool,
+    is_done: impl Fn(&TestWorld, &Bridge) -> bool,
 ) {
     let mut ticks = tokio::time::interval(PERIOD);
     let mut done_at = None;
@@ -73,7 +83,7 @@ async fn run_world(
             world.borrow_mut().scan_and_map();
         }
         publish_world(&world.borrow(), bridge, step, now);
-        if done_at.is_none() && is_done(&world.borrow()) {
+        if done_at.is_none() && is_done(&world.borrow(), bridge) {
             done_at = Some(step);
             stop.store(true, Ordering::Relaxed);
         }

@@ -3,6 +3,7 @@
 use super::Experiment;
 use super::session::Session;
 use crate::command::Error;
+use crate::command::exit_code::UsageError;
 use crate::command::up::system::add_system;
 use crate::command::up::{Paper, Report};
 use crate::config::{FleetConfig, RobotSource};
@@ -185,7 +186,9 @@ impl Results {
     /// The file cannot be read, or is not one of this program's.
     pub fn read(folder: &Path) -> Result<Self, Error> {
         let path = folder.join(FILE);
-        let named = |why: String| format!("{}: {why}; expected the folder of an experiment", path.display());
+        let named = |why: String| {
+            UsageError(format!("{}: {why}; expected the folder of an experiment", path.display()))
+        };
         let text =
             formats::limited::read_text(&path, FILE_BYTES_MAX).map_err(|why| named(why.to_string()))?;
         Ok(serde_json::from_str(&text).map_err(|why| named(why.to_string()))?)

@@ -145,9 +145,15 @@ pub enum ReplayError {
     /// A fleet's recording cannot be replayed.
     #[error("cannot replay the fleet: {0}")]
     Replay(String),
-    /// A session cannot be read or written.
+    /// A fleet's recording lacks what its replay needs, or the files are of several runs.
+    #[error("cannot replay the fleet: {0}")]
+    Recording(String),
+    /// The session, or the map in its place, cannot be read.
     #[error(transparent)]
-    Session(#[from] SessionFileError),
+    Begin(SessionFileError),
+    /// The session cannot be written.
+    #[error(transparent)]
+    Session(SessionFileError),
     /// A map file has no pose graph that could grow.
     #[error(
         "--session {0} is a map file, which has no pose graph; expected --mode localize, or a session file"
@@ -183,4 +189,27 @@ pub enum ReplayError {
     /// The summary cannot be written to standard output.
     #[error(transparent)]
     Print(#[from] std::io::Error),
+}
+
+impl ReplayError {
+    /// Returns whether the command line, or a file that it names as input, is refused before anything is replayed.
+    pub fn is_usage(&self) -> bool {
+        match self {
+            Self::Read { .. } | Self::Overwrites(_) | Self::NoScan { .. } | Self::AllSkipped { .. } => true,
+            Self::NoScanOfBag { .. } | Self::BagFiles(_) | Self::NotOneBag { .. } | Self::Bag { .. } => true,
+            Self::NothingToLocalizeIn | Self::NotServed | Self::WithoutEffect { .. } | Self::MapOnly(_) => {
+                true
+            }
+            Self::Recording(_) | Self::Begin(_) | Self::FieldOfView(_) | Self::Logs(_) | Self::Robots(_) => {
+                true
+            }
+            Self::Starts { .. } | Self::Config(_) => true,
+            Self::Write { .. } | Self::Run(_) | Self::Map(_) | Self::NothingPlaced { .. } => false,
+            Self::FewScans { .. }
+            | Self::NoWall { .. }
+            | Self::Replay(_)
+            | Self::Session(_)
+            | Self::Print(_) => false,
+        }
+    }
 }

@@ -132,7 +132,7 @@ fn with_recorded_room(path: &Path, config: &FleetConfig) -> Result<(FleetConfig,
         let starts = recorded(STARTS).and_then(|text| serde_json::from_str(text).ok());
         let is_known = starts.is_some_and(|starts| config.set_starts(starts));
         if !is_known && !room.is_usable() {
-            return Err(ReplayError::Replay(
+            return Err(ReplayError::Recording(
                 "the recording does not say where the robots started; expected the room of the recorded run"
                     .into(),
             ));
@@ -189,7 +189,7 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Miss
         let (run, path_of_first) = (run_of(&reader), paths[0].display());
         if *first.get_or_insert_with(|| run.clone()) != run {
             let path = path.display();
-            return Err(ReplayError::Replay(format!(
+            return Err(ReplayError::Recording(format!(
                 "{path} is of another run than {path_of_first}: expected the files of one recording"
             )));
         }
@@ -204,9 +204,9 @@ fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<(FleetRecording, Miss
         let count = recording.duplicates;
         output::note(&format!("{count} messages of the robots are in several files; each is used once"));
     }
-    recording.check_pauses().map_err(|why| ReplayError::Replay(why.to_string()))?;
+    recording.check_pauses().map_err(|why| ReplayError::Recording(why.to_string()))?;
     if !recording.has_scans() {
-        return Err(ReplayError::Replay("the recording has no scans of the fleet's robots".into()));
+        return Err(ReplayError::Recording("the recording has no scans of the fleet's robots".into()));
     }
     let gaps = note_missing(&recording, &config.robot_names());
     Ok((recording, Missing { damages, not_read, gaps }))

@@ -56,13 +56,17 @@ pub(super) fn start(dir: &Path) -> Result<(), UpError> {
                     .collect::<String>();
                 return Ok(output::print(&(text + &page))?);
             }
-            _ if child.try_wait()?.is_some() => {
-                return Err(UpError::Background { words: end_of(&log_path, log_begin), log: log_path });
+            _ => {}
+        }
+        match child.try_wait()? {
+            Some(status) => {
+                let words = end_of(&log_path, log_begin);
+                return Err(UpError::Background { words, log: log_path, code: status.code() });
             }
-            _ if begun.elapsed() >= START_WAIT_MAX => {
+            None if begun.elapsed() >= START_WAIT_MAX => {
                 return Err(UpError::SlowStart { pid: child.id(), dir: dir.display().to_string() });
             }
-            _ => std::thread::sleep(START_POLL),
+            None => std::thread::sleep(START_POLL),
         }
     }
 }
