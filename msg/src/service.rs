@@ -273,7 +273,7 @@ pub struct SlamResponse {
     pub mode: u32,
     /// 1 if new scans are not processed, else 0.
     pub paused: u32,
-    /// 1 if the robot's pose in the map is known, else 0.
+    /// 1 if scans say where the robot is in the map, 2 if only a person does ([`SlamResponse::UNCONFIRMED`]), 0 if nobody knows.
     pub located: u32,
     /// Number of nodes in the pose graph.
     pub nodes: u32,
@@ -302,6 +302,9 @@ impl Default for SlamResponse {
 }
 
 impl SlamResponse {
+    /// Value of `located` while a person's estimate of the robot's pose is not confirmed by scans.
+    pub const UNCONFIRMED: u32 = 2;
+
     /// Decodes the outcome; an unknown code reads as refused.
     pub fn outcome(&self) -> SlamOutcome {
         let outcomes = [SlamOutcome::Done, SlamOutcome::NotSaved];

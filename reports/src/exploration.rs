@@ -11,8 +11,8 @@ pub struct ExplorationSummary {
     pub state: &'static str,
     /// Why it stands or is over; empty if there is nothing to say.
     pub reason: String,
-    /// Time that the exploration has taken; `None` before the first.
-    seconds: Option<f64>,
+    /// Time that the exploration has taken, seconds; `None` before the first.
+    elapsed_s: Option<f64>,
     known_m2: Option<f64>,
     least_s: Option<f64>,
     most_s: Option<f64>,
@@ -52,7 +52,7 @@ impl ExplorationSummary {
         Self {
             state: report.status().name(),
             reason: report.reason().to_owned(),
-            seconds: finite(report.elapsed_s),
+            elapsed_s: finite(report.elapsed_s),
             known_m2: finite(report.known_m2),
             least_s: finite(report.least_s),
             most_s: finite(report.most_s),
@@ -65,7 +65,7 @@ impl ExplorationSummary {
     /// The answer for people: what was reached, and a line for each place that is left.
     pub fn text(&self) -> String {
         let known = known_area(self.known_m2);
-        let after = self.seconds.map_or_else(String::new, |seconds| format!(" after {seconds:.0} s"));
+        let after = self.elapsed_s.map_or_else(String::new, |seconds| format!(" after {seconds:.0} s"));
         let mut text = format!("{}{after}{known}", self.state);
         if !self.reason.is_empty() {
             text += &format!(": {}", self.reason);

@@ -2,11 +2,17 @@
 //!
 //! A name that a client gives is relative and gets the ending of its kind, whatever it ends with. The command line gives absolute paths.
 
+use crate::storage::{FileCount, Storage};
 use msg::{FileNameError, check_file_name, check_relative_file_name};
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Name of the folder in a run's folder.
 pub const FOLDER: &str = "saved";
+/// Most files in that folder: a session and the three files of a map, four times for each of 64 robots. Clients may save again and again.
+pub const FILES_MAX: usize = 1024;
+/// Most bytes in that folder before a file is added: 4 GiB, hundreds of sessions of a large building.
+pub const BYTES_MAX: u64 = 4 << 30;
 /// Ending of a session file.
 const SESSION_ENDING: &str = "slam";
 /// Endings of the files that can be loaded: sessions and maps.
@@ -44,6 +50,51 @@ pub fn files_to_load(run_folder: &Path, name: &str) -> Result<Vec<PathBuf>, File
     Ok(files)
 }
 
+/// Reason why the folder takes no more files.
+#[derive(Debug, thiserror::Error)]
+pub enum SavedFilesError {
+    /// The folder has the most files or bytes that it may have.
+    #[error(
+        "{}: has {files} files of {bytes} bytes in all, and at most {FILES_MAX} files and {BYTES_MAX} bytes may be saved there; \
+         remove some", folder.display()
+    )]
+    Full {
+        /// The folder of saved files.
+        folder: PathBuf,
+        /// Number of its files; it is not counted further than the limit.
+        files: usize,
+        /// Sum of their lengths, bytes.
+        bytes: u64,
+    },
+    /// The folder cannot be read.
+    #[error("{}: {source}", folder.display())]
+    Read {
+        /// The folder of saved files.
+        folder: PathBuf,
+        /// Error of the operating system.
+        source: io::Error,
+    },
+}
+
+/// Checks that the folder of saved files of a run has room for files at `path`. Files elsewhere, which only the command line names, need
+/// none.
+///
+/// # Errors
+/// The folder is full, or cannot be read.
+pub fn check_room(storage: &impl Storage, run_folder: &Path, path: &Path) -> Result<(), SavedFilesError> {
+    let folder = run_folder.join(FOLDER);
+    if !path.starts_with(&folder) {
+        return Ok(());
+    }
+    match storage.count_files(&folder, FILES_MAX) {
+        Ok(FileCount { files, bytes }) if files >= FILES_MAX || bytes >= BYTES_MAX => {
+            Err(SavedFilesError::Full { folder, files, bytes })
+        }
+        Ok(_) => Ok(()),
+        Err(source) => Err(SavedFilesError::Read { folder, source }),
+    }
+}
+
 fn is_absolute(name: &str) -> bool {
     Path::new(name).is_absolute()
 }
@@ -72,9 +123,29 @@ fn with_ending(path: PathBuf, endings: &[&str]) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::storage::DiskStorage;
 
     fn session(name: &str) -> String {
         session_to_save(Path::new("/run"), name).unwrap().display().to_string()
+    }
+
+    #[test]
+    fn a_folder_that_is_full_takes_no_more_and_says_so() {
+        let run = tempfile::tempdir().unwrap();
+        let check = |path: PathBuf| check_room(&DiskStorage, run.path(), &path);
+        let saved = run.path().join(FOLDER);
+        for number in 0..FILES_MAX - 1 {
+            DiskStorage.replace(&saved.join(format!("{}/{number}.slam", number % 7)), b"").unwrap();
+        }
+        // Its folders count, too: a client makes one with each name.
+        std::fs::remove_dir_all(saved.join("6")).unwrap();
+        check(saved.join("one-more.slam")).unwrap();
+        for number in 0..FILES_MAX / 4 {
+            DiskStorage.replace(&saved.join(format!("{number}.slam")), b"").unwrap();
+        }
+        let why = check(saved.join("one-more.slam")).unwrap_err().to_string();
+        assert!(why.contains("has 1024 files") && why.contains("saved: "), "{why}");
+        check(run.path().join("elsewhere.slam")).unwrap();
     }
 
     #[test]

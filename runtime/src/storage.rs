@@ -32,6 +32,25 @@ pub trait Storage: Clone + 'static {
     fn write_map(&self, stem: &Path, map: GridView<'_>, reasons: &[&str]) -> Result<(), MapFileError>;
     /// Reads a map from its YAML file.
     fn read_map(&self, path: &Path) -> Result<Grid, MapFileError>;
+    /// Counts the files below a folder until there are `files_max`; a folder that is not there has none.
+    fn count_files(&self, folder: &Path, files_max: usize) -> io::Result<FileCount>;
+}
+
+/// Number and size of files.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FileCount {
+    /// Number of files.
+    pub files: usize,
+    /// Sum of their lengths, bytes.
+    pub bytes: u64,
+}
+
+impl FileCount {
+    /// Counts one more file of this length, bytes.
+    pub fn add(&mut self, bytes: u64) {
+        self.files += 1;
+        self.bytes = self.bytes.saturating_add(bytes);
+    }
 }
 
 /// Renames a file that cannot be used, so that what is saved in its place does not overwrite it: it may be whole, and only the disk may
@@ -116,6 +135,30 @@ impl Storage for DiskStorage {
     fn read_map(&self, path: &Path) -> Result<Grid, MapFileError> {
         map_file::read_map(path)
     }
+
+    fn count_files(&self, folder: &Path, files_max: usize) -> io::Result<FileCount> {
+        let mut count = FileCount::default();
+        let mut folders = vec![folder.to_owned()];
+        while let Some(folder) = folders.pop() {
+            let entries = match std::fs::read_dir(&folder) {
+                Err(why) if why.kind() == io::ErrorKind::NotFound => continue,
+                entries => entries?,
+            };
+            for entry in entries {
+                // Not through links, which may lead in circles.
+                let about = entry.as_ref().map_err(|why| io::Error::from(why.kind()))?.metadata()?;
+                match about.is_dir() {
+                    true => folders.push(entry?.path()),
+                    false => count.add(about.len()),
+                }
+                // Folders that clients made count by what they take of the limit, too.
+                if count.files + folders.len() >= files_max {
+                    return Ok(FileCount { files: files_max, ..count });
+                }
+            }
+        }
+        Ok(count)
+    }
 }
 
 fn create_folder_of(path: &Path) -> io::Result<()> {
@@ -130,6 +173,20 @@ pub fn free_bytes(folder: &Path) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn files_are_counted_in_all_folders_and_no_further_than_asked() {
+        let folder = tempfile::tempdir().unwrap();
+        let count = |files_max| DiskStorage.count_files(folder.path(), files_max).unwrap();
+        assert_eq!(DiskStorage.count_files(&folder.path().join("none"), 9).unwrap(), FileCount::default());
+        for name in ["a.slam", "b/c.slam", "b/d/e.slam"] {
+            DiskStorage.replace(&folder.path().join(name), b"1234").unwrap();
+        }
+        std::os::unix::fs::symlink(folder.path(), folder.path().join("b/circle")).unwrap();
+        let all = count(100);
+        assert!(all.files == 4 && all.bytes >= 12, "{all:?}");
+        assert_eq!(count(2).files, 2);
+    }
 
     #[test]
     fn a_file_that_cannot_be_used_is_kept_whatever_was_kept_before() {

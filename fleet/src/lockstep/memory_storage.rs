@@ -2,7 +2,7 @@
 
 use super::queues::Network;
 use crate::ports::Clock;
-use crate::storage::Storage;
+use crate::storage::{FileCount, Storage};
 use formats::map_file::MapFileError;
 use msg::{Grid, GridView};
 use std::cell::RefCell;
@@ -85,5 +85,14 @@ impl Storage for MemoryStorage {
 
     fn read_map(&self, path: &Path) -> Result<Grid, MapFileError> {
         formats::map_file::read_map(path)
+    }
+
+    fn count_files(&self, folder: &Path, files_max: usize) -> io::Result<FileCount> {
+        let files = self.files.borrow();
+        let mut count = FileCount::default();
+        files.iter().filter(|(path, _)| path.starts_with(folder)).take(files_max).for_each(|(_, bytes)| {
+            count.add(bytes.len() as u64);
+        });
+        Ok(count)
     }
 }

@@ -141,7 +141,7 @@ impl<P: Ports, S: Storage> SlamProcess<P, S> {
         let outcomes = events.clone();
         let front_end_loop = FrontEndLoop::open(scan_ports, run, robot, beginning, events, commands_in)?;
         let back_end = BackEndWorker::open(map_ports, run, robot, back, commands, job_sender)?;
-        let files = SlamFileWorker::new(live_config(run), storage, scan_ports.clock(), outcomes);
+        let files = SlamFileWorker::new(live_config(run), &run.dir, storage, scan_ports.clock(), outcomes);
         Ok(Self { front_end_loop, back_end, files, inputs, jobs })
     }
 }
@@ -153,7 +153,8 @@ pub fn run(run: &Run, robot: RobotId, map_from_odom: Option<Pose2>, stop: &Stop)
     let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
     let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
     let (job_sender, jobs) = sync_channel::<SlamFileJob>(files::JOBS_MAX);
-    let mut files = SlamFileWorker::new(live_config(run), DiskStorage, scan_ports.clock(), events.clone());
+    let mut files =
+        SlamFileWorker::new(live_config(run), &run.dir, DiskStorage, scan_ports.clock(), events.clone());
     let InitialSlam { beginning, back } = initial;
     let mut front_end_loop = FrontEndLoop::open(&scan_ports, run, robot, beginning, events, commands_in)?;
     std::thread::scope(|scope| {

@@ -5,6 +5,7 @@ use serde::Serialize;
 use std::path::Path;
 
 /// Response of a robot's SLAM, with names and units; JSON of `mr-slam slam`.
+// More than 12 fields: they are the keys of the JSON.
 #[derive(Clone, Debug, Serialize)]
 pub struct SlamView<'a> {
     /// Folder of the run.
@@ -17,8 +18,10 @@ pub struct SlamView<'a> {
     pub mode: &'static str,
     /// Whether scans are ignored.
     pub paused: bool,
-    /// Whether the robot's pose in the map is known.
+    /// Whether scans say where the robot is in the map.
     pub located: bool,
+    /// Whether a person said where the robot is, and no scan has confirmed it yet.
+    pub unconfirmed: bool,
     /// Pose of `base_footprint` in `robotK/map` at the newest node: x m, y m, yaw rad; `None`: not known.
     pub map_from_base: Option<[f64; 3]>,
     /// Number of nodes in the pose graph.
@@ -72,7 +75,8 @@ impl<'a> SlamView<'a> {
             mode: SlamMode::from_code(response.mode).map_or("unknown", SlamMode::name),
             paused: response.paused == 1,
             located: response.located == 1,
-            map_from_base: (response.located == 1).then(|| numbers(response.map_from_base)),
+            unconfirmed: response.located == SlamResponse::UNCONFIRMED,
+            map_from_base: (response.located != 0).then(|| numbers(response.map_from_base)),
             nodes: response.nodes,
             links: response.links,
             closures: response.closures,
@@ -85,7 +89,9 @@ impl<'a> SlamView<'a> {
     pub fn table(&self) -> String {
         let Self { mode, nodes, links, closures, retracted, .. } = self;
         let pose = match self.map_from_base {
-            Some([x, y, yaw]) => format!("{x:.2} {y:.2} m, {yaw:.2} rad at the newest node"),
+            Some([x, y, yaw]) => {
+                format!("{x:.2} {y:.2} m, {yaw:.2} rad at the newest node{}", self.reservation())
+            }
             None => "not located yet".into(),
         };
         let paused = if self.paused { ", paused" } else { "" };
@@ -95,11 +101,19 @@ impl<'a> SlamView<'a> {
         )
     }
 
+    /// Says that the pose is a person's alone, if it is.
+    fn reservation(&self) -> &'static str {
+        if self.unconfirmed { ", as a person said; no scan has confirmed it yet" } else { "" }
+    }
+
     /// Formats the robot's pose as a sentence.
     pub fn pose_sentence(&self) -> String {
         let robot = &self.robot;
         match self.map_from_base {
-            Some([x, y, yaw]) => format!("{robot} is at {x:.2} {y:.2} m, {yaw:.2} rad in its map\n"),
+            Some([x, y, yaw]) => {
+                let reservation = self.reservation();
+                format!("{robot} is at {x:.2} {y:.2} m, {yaw:.2} rad in its map{reservation}\n")
+            }
             None => format!(
                 "{robot} is not located yet; drive it two or three metres so that its scans can be matched\n"
             ),
@@ -148,4 +162,25 @@ impl ClosureView {
 
 fn numbers(pose: Pose2) -> [f64; 3] {
     [pose.x_m, pose.y_m, pose.yaw_rad]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_that_only_a_person_gave_is_shown_and_not_located() {
+        let view = |located| {
+            let response = SlamResponse { located, ..SlamResponse::default() };
+            SlamView::new(Path::new("run"), RobotId::new(1).unwrap(), &response, None)
+        };
+        let [nobody, scans, person] = [0, 1, SlamResponse::UNCONFIRMED].map(view);
+        let flags = |view: &SlamView<'_>| (view.located, view.unconfirmed, view.map_from_base.is_some());
+        assert_eq!(flags(&nobody), (false, false, false));
+        assert_eq!(flags(&scans), (true, false, true));
+        assert_eq!(flags(&person), (false, true, true));
+        assert!(person.table().contains("no scan has confirmed it yet"), "{}", person.table());
+        assert!(person.pose_sentence().contains("as a person said"), "{}", person.pose_sentence());
+        assert!(!scans.table().contains("confirmed"), "{}", scans.table());
+    }
 }

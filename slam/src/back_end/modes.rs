@@ -155,6 +155,12 @@ impl BackEnd {
             .map_or(is_located, |relocalizer| relocalizer.initial_estimate().is_some())
     }
 
+    /// Whether a person said where the robot is, and no scan has confirmed it yet.
+    pub fn is_unconfirmed(&self) -> bool {
+        let initial_estimate = self.location.relocalizer.as_ref().and_then(Relocalizer::initial_estimate);
+        initial_estimate.is_some() || self.location.unconfirmed.is_some()
+    }
+
     /// The map from the robot at the newest node; as far as it is known.
     pub fn map_from_base(&self) -> Option<Pose2> {
         match (&self.location.relocalizer, &self.location.localizer) {
@@ -281,7 +287,7 @@ impl BackEnd {
             uncertainty: self.frame_uncertainty(),
             closures: self.loop_closures.active_count,
             located: map_from_local.is_some() && self.is_located(),
-            unconfirmed: initial_estimate.is_some() || self.location.unconfirmed.is_some(),
+            unconfirmed: self.is_unconfirmed(),
             unreliable: self.reliability_evidence().is_unreliable(),
         }
     }

@@ -3,7 +3,7 @@ use super::*;
 use crate::config::FleetConfig;
 use crate::emergency_stop_file::latch_stop;
 use crate::job_thread::JobWorker;
-use crate::storage::DiskStorage;
+use crate::storage::{DiskStorage, FileCount, Storage};
 use ::bridge::ADDRESSES_MAX;
 use ::bridge::BridgeConfig;
 use formats::map_file::MapFileError;
@@ -76,6 +76,11 @@ impl Storage for StalledDisk {
 
     fn read_map(&self, path: &Path) -> Result<Grid, MapFileError> {
         DiskStorage.read_map(path)
+    }
+
+    fn count_files(&self, folder: &Path, files_max: usize) -> io::Result<FileCount> {
+        self.wait();
+        DiskStorage.count_files(folder, files_max)
     }
 }
 

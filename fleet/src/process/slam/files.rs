@@ -7,6 +7,7 @@ use super::BackEndInput;
 use super::map_frame::MapFrame;
 use super::refused::FileJobError;
 use crate::ports::Clock;
+use crate::saved_files;
 use crate::session_file::{self, SessionFileError};
 use crate::sessions::{self, TOLD_SIGMA};
 use crate::storage::Storage;
@@ -100,6 +101,7 @@ const UNKNOWN_FRAME: &str =
 /// Performs jobs, one after the other.
 pub struct SlamFileWorker<C, S> {
     config: SlamConfig,
+    run_folder: PathBuf,
     storage: S,
     clock: C,
     outcomes: SyncSender<BackEndInput>,
@@ -109,8 +111,14 @@ pub struct SlamFileWorker<C, S> {
 
 impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
     /// Creates a worker whose outcomes go to the back-end thread.
-    pub fn new(config: SlamConfig, storage: S, clock: C, outcomes: SyncSender<BackEndInput>) -> Self {
-        Self { config, storage, clock, outcomes, unsaved: None }
+    pub fn new(
+        config: SlamConfig,
+        run_folder: &Path,
+        storage: S,
+        clock: C,
+        outcomes: SyncSender<BackEndInput>,
+    ) -> Self {
+        Self { config, run_folder: run_folder.to_owned(), storage, clock, outcomes, unsaved: None }
     }
 
     /// Returns why what was to be saved last is not in its file, if it is not.
@@ -149,15 +157,17 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
             result.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
         };
         let result = match work {
-            FileOperation::Save(session, frame) => self.save(&path, &session, frame.as_ref()).map(|()| None),
+            FileOperation::Save(session, frame) => self
+                .check_room(&path)
+                .and_then(|()| self.save(&path, &session, frame.as_ref()))
+                .map(|()| None),
             FileOperation::Append { at, bytes } => written(self.storage.append(&path, at, &bytes)),
             FileOperation::Replace(bytes) => written(self.storage.replace(&path, &bytes)),
             FileOperation::Remove => written(self.storage.remove(&path)),
-            FileOperation::Draw { grid, reasons } => self
-                .storage
-                .write_map(&path, grid.view(), &reasons)
-                .map(|()| None)
-                .map_err(FileJobError::from),
+            FileOperation::Draw { grid, reasons } => self.draw(&path, &grid, &reasons).map(|yaml| {
+                path = yaml;
+                None
+            }),
             FileOperation::Load { files, session, mode, frame } => {
                 let request = request.as_deref().copied().unwrap_or_default();
                 self.load_first(files, &session, (mode, &frame), &request).map(|(used, loaded)| {
@@ -176,6 +186,18 @@ impl<C: Clock, S: Storage> SlamFileWorker<C, S> {
         }
         let took = Duration::from_nanos(self.clock.now().since(begun));
         FileJobOutcome { request, path, result, took, appended_at }
+    }
+
+    fn check_room(&self, path: &Path) -> Result<(), FileJobError> {
+        Ok(saved_files::check_room(&self.storage, &self.run_folder, path)?)
+    }
+
+    /// Writes the files of a map; returns the path of the YAML, which names the picture and is what map_server loads.
+    fn draw(&self, stem: &Path, grid: &Grid, reasons: &[&str]) -> Result<PathBuf, FileJobError> {
+        self.check_room(stem)?;
+        self.storage.write_map(stem, grid.view(), reasons)?;
+        let [_, yaml, _] = formats::map_file::written_files(stem);
+        Ok(yaml)
     }
 
     /// Writes the number of the map's frame, then the session: a session of another frame is never without its number.

@@ -1,5 +1,6 @@
 //! Reasons why a request to SLAM, or a job on a file, is refused.
 
+use crate::saved_files::SavedFilesError;
 use crate::session_file::{self, SessionFileError};
 use formats::map_file::MapFileError;
 use msg::FileNameError;
@@ -73,6 +74,9 @@ pub enum FileJobError {
         /// Error of the operating system.
         source: std::io::Error,
     },
+    /// Clients have saved as much as they may.
+    #[error(transparent)]
+    NoRoom(#[from] SavedFilesError),
     /// A map could not be read or written.
     #[error(transparent)]
     Map(#[from] MapFileError),

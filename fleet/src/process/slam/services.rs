@@ -297,7 +297,10 @@ impl<P: Ports> Services<P> {
             outcome: outcome as u32,
             mode: back.mode() as u32,
             paused: self.paused.into(),
-            located: (back.is_located() && back.map_from_base().is_some()).into(),
+            located: match back.is_located() && back.map_from_base().is_some() {
+                true if back.is_unconfirmed() => SlamResponse::UNCONFIRMED,
+                is_located => is_located.into(),
+            },
             nodes: counts.nodes as u32,
             links: counts.links as u32,
             closures: counts.closures as u32,

@@ -226,3 +226,25 @@ fn what_a_client_saves_replaces_no_file_of_the_run_and_is_found_by_its_name() {
     }
     assert_eq!(read(&asked, "lockstep/sessions/robot2.slam").unwrap(), before);
 }
+
+#[test]
+fn a_client_cannot_fill_the_disk_with_names() {
+    let mut asked = Asked::new(FaultPlan::none());
+    save(&asked, "own.slam", 0);
+    assert_eq!(asked.ask(SlamRequestKind::LoadSession, "own").0.outcome(), SlamOutcome::Done);
+    for number in 0..saved_files::FILES_MAX {
+        asked.storage.write(Path::new(&format!("lockstep/saved/{number}.slam")), b"").unwrap();
+    }
+    for kind in [SlamRequestKind::SaveSession, SlamRequestKind::SaveMap] {
+        let (response, _) = asked.ask(kind, "one-more");
+        let text = response.text.as_str();
+        assert_eq!(response.outcome(), SlamOutcome::Refused, "{text}");
+        assert!(text.starts_with("lockstep/saved: has 1024 files"), "{text}");
+    }
+    asked.storage.remove(Path::new("lockstep/saved/7.slam")).unwrap();
+    assert_eq!(asked.ask(SlamRequestKind::SaveSession, "one-more").0.outcome(), SlamOutcome::Done);
+    // A map is named by the file that is loaded.
+    asked.storage.remove(Path::new("lockstep/saved/8.slam")).unwrap();
+    let (response, _) = asked.ask(SlamRequestKind::SaveMap, "plan.png");
+    assert_eq!(response.text.as_str(), "lockstep/saved/plan.yaml");
+}
