@@ -20,6 +20,6 @@ pub enum WireError {
     #[error("message kind {0} is unknown")]
     Kind(u8),
     /// A number is out of its range.
-    #[error("a number in a message of kind {0:?} is out of its range")]
+    #[error("a number in a message of kind `{}` is out of its range", .0.row().name)]
     Range(Kind),
 }

@@ -70,7 +70,7 @@ pub enum EdgesError {
     #[error("expected two different robots")]
     SameRobot,
     /// Merging did not answer.
-    #[error("run {}: merging does not answer within {PATIENCE:?}; see `mr-slam status`", run.display())]
+    #[error("run {}: merging does not answer within {} s; see `mr-slam status`", run.display(), PATIENCE.as_secs_f64())]
     Silent {
         /// Folder of the run.
         run: PathBuf,

@@ -127,7 +127,8 @@ pub enum SlamCommandError {
     OtherMachine(String),
     /// SLAM was there and did not finish the request.
     #[error(
-        "{0}'s SLAM has not finished within {WORK_PATIENCE:?}; it may have died, or the disk does not answer: `mr-slam slam {0} state` says what holds"
+        "{0}'s SLAM has not finished within {wait} s; it may have died, or the disk does not answer: `mr-slam slam {0} state` says what holds",
+        wait = WORK_PATIENCE.as_secs_f64()
     )]
     Unfinished(RobotId),
     /// SLAM has done it, but could not save it.

@@ -53,15 +53,15 @@ pub enum StatusError {
     #[error(transparent)]
     Channel(#[from] ChannelError),
     /// Telemetry did not send figures.
-    #[error("run {}: no figures came within {PATIENCE:?}; telemetry may be restarting, try again", run.display())]
+    #[error("run {}: no figures came within {} s; telemetry may be restarting, try again", run.display(), PATIENCE.as_secs_f64())]
     NoFigures {
         /// Folder of the run.
         run: PathBuf,
     },
     /// Telemetry has not begun to work.
     #[error(
-        "run {}: no figures came within {PATIENCE:?}: telemetry is starting, {age_s:.0} s after the fleet; a large room takes longer; try \
-         again", run.display()
+        "run {}: no figures came within {} s: telemetry is starting, {age_s:.0} s after the fleet; a large room takes longer; try \
+         again", run.display(), PATIENCE.as_secs_f64()
     )]
     Starting {
         /// Folder of the run.

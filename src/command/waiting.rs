@@ -26,13 +26,13 @@ pub enum WaitError {
         unknown: String,
     },
     /// Navigation has not answered at all.
-    #[error("run {}: navigation does not answer within {PATIENCE:?}; see `mr-slam status`", run.display())]
+    #[error("run {}: navigation does not answer within {} s; see `mr-slam status`", run.display(), PATIENCE.as_secs_f64())]
     Silent {
         /// Folder of the run.
         run: PathBuf,
     },
     /// Navigation has answered, and then said nothing more.
-    #[error("run {}: navigation has said nothing for {SILENCE_MAX:?}; {unknown}; see `mr-slam status`", run.display())]
+    #[error("run {}: navigation has said nothing for {} s; {unknown}; see `mr-slam status`", run.display(), SILENCE_MAX.as_secs_f64())]
     FellSilent {
         /// Folder of the run.
         run: PathBuf,
@@ -66,9 +66,8 @@ impl Waiting {
         let is_silent = self.has_answer && now.saturating_duration_since(self.heard) > REPORT_AFTER;
         let is_new = is_silent && !std::mem::replace(&mut self.is_reported, is_silent);
         is_new.then(|| {
-            format!(
-                "navigation has said nothing for {REPORT_AFTER:?}; it is waited for {SILENCE_MAX:?} at most"
-            )
+            let [silent_s, most_s] = [REPORT_AFTER, SILENCE_MAX].map(|time| time.as_secs_f64());
+            format!("navigation has said nothing for {silent_s} s; it is waited for {most_s} s at most")
         })
     }
 

@@ -86,7 +86,7 @@ pub enum ZoneToolError {
     #[error("the zones are as before: {0}")]
     Refused(ZoneRefusal),
     /// The navigator did not answer.
-    #[error("run {}: navigation does not answer within {PATIENCE:?}; see `mr-slam status`", run.display())]
+    #[error("run {}: navigation does not answer within {} s; see `mr-slam status`", run.display(), PATIENCE.as_secs_f64())]
     Silent {
         /// Folder of the run.
         run: PathBuf,

@@ -33,7 +33,7 @@ pub enum MapRejected {
         cells: usize,
     },
     /// The map is older than the one in use.
-    #[error("a map of {stamp:?} came after one of {newest:?}")]
+    #[error("a map of {:.3} s came after one of {:.3} s", stamp.seconds(), newest.seconds())]
     Stale {
         /// Stamp of the rejected map.
         stamp: Stamp,

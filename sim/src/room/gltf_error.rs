@@ -88,7 +88,7 @@ pub enum MeshError {
     #[error("positions are not f32: export without quantisation")]
     Quantised,
     /// Indices are not unsigned integers.
-    #[error("indices are {0:?}; expected U8, U16 or U32")]
+    #[error("indices are {}; expected u8, u16 or u32", number_name(*.0))]
     IndexType(ComponentType),
     /// The numbers of the mesh cannot be read.
     #[error("accessors[{accessor}] {why}")]
@@ -110,7 +110,7 @@ pub enum AccessorError {
     #[error("has an unknown type")]
     UnknownType,
     /// Its type does not fit its use.
-    #[error("is {found:?}, not {expected:?}")]
+    #[error("is {}, not {}", type_name(*found), type_name(*expected))]
     Type {
         /// Type that was found.
         found: Type,
@@ -140,4 +140,29 @@ pub enum AccessorError {
     /// Its elements share bytes.
     #[error("overlaps itself")]
     Overlap,
+}
+
+/// Returns the name of a number's type.
+fn number_name(number: ComponentType) -> &'static str {
+    match number {
+        ComponentType::I8 => "i8",
+        ComponentType::U8 => "u8",
+        ComponentType::I16 => "i16",
+        ComponentType::U16 => "u16",
+        ComponentType::U32 => "u32",
+        ComponentType::F32 => "f32",
+    }
+}
+
+/// Returns the name of an element's type, as glTF 2.0 has it.
+fn type_name(element: Type) -> &'static str {
+    match element {
+        Type::Scalar => "SCALAR",
+        Type::Vec2 => "VEC2",
+        Type::Vec3 => "VEC3",
+        Type::Vec4 => "VEC4",
+        Type::Mat2 => "MAT2",
+        Type::Mat3 => "MAT3",
+        Type::Mat4 => "MAT4",
+    }
 }

@@ -77,7 +77,7 @@ pub enum MrukError {
     #[error(transparent)]
     Json(#[from] serde_json::Error),
     /// The frame is none that is supported.
-    #[error("CoordinateSystem is {found:?}; expected Unity or OpenXR: export the scene from Unity")]
+    #[error("CoordinateSystem is `{found}`; expected Unity or OpenXR: export the scene from Unity")]
     CoordinateSystem {
         /// The frame's name in the file.
         found: String,
