@@ -221,7 +221,7 @@ enum HandshakeError {
     #[error("the endpoint is of version '{version}', expected {ENDPOINT_VERSION}*")]
     Version { version: String },
     /// The endpoint speaks ROS 1, or does not say what it speaks.
-    #[error("the endpoint speaks {}, expected ROS2", protocol.as_deref().unwrap_or("it does not say what"))]
+    #[error("the endpoint speaks {}, expected ROS2", protocol.as_deref().unwrap_or("no protocol that it names"))]
     Protocol { protocol: Option<String> },
 }
 
