@@ -207,7 +207,7 @@ fn interrupt(
     ExploreError::NotCompleted { state: "not known to be stopped", reason: reason.into() }
 }
 
-/// Lines of progress: on a change of state or of a robot's part, and each 10 s.
+/// Lines of progress: on a change of state or of a robot's part, and each 10 s while the exploration goes on. Its end is said once.
 #[derive(Default)]
 struct Progress {
     shown: Option<(ExplorationStatus, Vec<ExplorerState>, Instant)>,
@@ -217,7 +217,8 @@ impl Progress {
     fn line(&mut self, report: &ExplorationReport, robots: usize) -> Option<String> {
         let states: Vec<ExplorerState> = (0..robots).map(|index| report.robot(index)).collect();
         let is_shown = self.shown.as_ref().is_some_and(|(status, shown, at)| {
-            *status == report.status() && *shown == states && at.elapsed() < PROGRESS_PERIOD
+            let is_same = *shown == states && at.elapsed() < PROGRESS_PERIOD;
+            *status == report.status() && (status.is_final() || is_same)
         });
         if is_shown {
             return None;
@@ -295,6 +296,25 @@ impl FleetHooks for ExplorationWatch {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_end_of_an_exploration_is_said_once() {
+        let mut report =
+            ExplorationReport { status: ExplorationStatus::Exploring as u32, ..ExplorationReport::default() };
+        report.robots[0] = ExplorerState::Exploring as u8;
+        let mut progress = Progress::default();
+        assert!(progress.line(&report, 1).is_some_and(|line| line.contains("exploring")));
+        report.status = ExplorationStatus::Stopped as u32;
+        report.set_reason("stopped on demand");
+        assert!(progress.line(&report, 1).is_some_and(|line| line.contains("stopped on demand")));
+        // The robots' parts end after it, and the report is sent again and again.
+        report.robots[0] = ExplorerState::None as u8;
+        assert_eq!(progress.line(&report, 1), None);
+        progress.shown.as_mut().unwrap().2 = Instant::now() - PROGRESS_PERIOD;
+        assert_eq!(progress.line(&report, 1), None, "nothing has changed");
+        report.status = ExplorationStatus::Exploring as u32;
+        assert!(progress.line(&report, 1).is_some(), "it goes on");
+    }
 
     #[test]
     fn a_start_is_judged_when_a_robot_explores_or_the_exploration_waits_for_one() {

@@ -207,19 +207,26 @@ fn run_for_program(words: &[&str], folder: &std::path::Path) -> (Option<i32>, St
     (ended.status.code(), error, String::from_utf8_lossy(&ended.stderr).into_owned())
 }
 
+/// Asserts that each command line ends with 2, says why, and with `--json` in JSON, too.
+fn check_refused(invocations: &[&[&str]], folder: &std::path::Path) {
+    for words in invocations {
+        let (code, error, said) = run_for_program(words, folder);
+        assert_eq!(code, Some(2), "{words:?}: {said}");
+        assert!(!said.is_empty(), "{words:?} says nothing");
+        assert_eq!(!error.is_empty(), words.contains(&"--json"), "{words:?}: {error} {said}");
+    }
+}
+
 #[test]
-fn a_wrong_command_line_ends_with_2_whatever_is_wrong_and_says_it_in_json() {
+fn a_wrong_command_line_ends_with_2_whatever_is_wrong() {
     let temporary = Folder::new();
     let (run, _lock) = pretend_run(&temporary, 1);
     let at = |name: &str| temporary.path().join(name).display().to_string();
     std::fs::write(at("wrong.toml"), "[fleet]\nrobots = 99\n").unwrap();
     std::fs::write(at("unknown.toml"), "[fleet]\nrobot = 2\n").unwrap();
     std::fs::write(at("empty.log"), "").unwrap();
-    std::fs::write(at("there.mcap"), "a recording").unwrap();
     let [wrong, unknown, missing, empty] = ["wrong.toml", "unknown.toml", "missing", "empty.log"].map(at);
-    let [no_run, no_yaml, no_mcap, there] = ["no-run", "no.yaml", "a.bag", "there.mcap"].map(at);
-    let maps = vec![no_yaml.as_str(); 65];
-    let many_maps: Vec<&str> = [&["merge"][..], &maps, &["--json"]].concat();
+    let no_run = at("no-run");
     let invocations: &[&[&str]] = &[
         // Refused by the parser.
         &[],
@@ -254,7 +261,20 @@ fn a_wrong_command_line_ends_with_2_whatever_is_wrong_and_says_it_in_json() {
         &["operator", "tour", "--seconds", "nan", "--json"],
         &["operator", "tour", "--names", "a b", "--json"],
         &["keys", "robot", "a b", "--keys", &missing],
-        // Inputs.
+    ];
+    check_refused(invocations, temporary.path());
+}
+
+#[test]
+fn an_input_that_cannot_be_used_ends_with_2() {
+    let temporary = Folder::new();
+    let at = |name: &str| temporary.path().join(name).display().to_string();
+    std::fs::write(at("wrong.toml"), "[fleet]\nrobots = 99\n").unwrap();
+    std::fs::write(at("empty.log"), "").unwrap();
+    let [wrong, missing, empty, no_yaml] = ["wrong.toml", "missing", "empty.log", "no.yaml"].map(at);
+    let maps = vec![no_yaml.as_str(); 65];
+    let many_maps: Vec<&str> = [&["merge"][..], &maps, &["--json"]].concat();
+    let invocations: &[&[&str]] = &[
         &["replay", &missing, "--json"],
         &["replay", &empty, "--json"],
         &["replay", &empty, "--fov-deg", "400", "--json"],
@@ -265,7 +285,18 @@ fn a_wrong_command_line_ends_with_2_whatever_is_wrong_and_says_it_in_json() {
         &["replay", &empty, &empty, "--json"],
         &["merge", &no_yaml, &no_yaml, "--json"],
         &many_maps,
-        // Of a running fleet.
+    ];
+    check_refused(invocations, temporary.path());
+}
+
+#[test]
+fn a_wrong_robot_run_or_value_of_a_running_fleet_ends_with_2() {
+    let temporary = Folder::new();
+    let (run, _lock) = pretend_run(&temporary, 1);
+    let at = |name: &str| temporary.path().join(name).display().to_string();
+    std::fs::write(at("there.mcap"), "a recording").unwrap();
+    let [no_run, no_mcap, there] = ["no-run", "a.bag", "there.mcap"].map(at);
+    let invocations: &[&[&str]] = &[
         &["status", "--run-dir", &no_run, "--json"],
         &["goto", "9", "1,1", "--run-dir", &run, "--json"],
         &["edges", "pin", "1", "1", "--run-dir", &run, "--json"],
@@ -277,12 +308,7 @@ fn a_wrong_command_line_ends_with_2_whatever_is_wrong_and_says_it_in_json() {
         &["record", "--out", &no_mcap, "--run-dir", &run, "--json"],
         &["record", "--out", &there, "--run-dir", &run, "--json"],
     ];
-    for words in invocations {
-        let (code, error, said) = run_for_program(words, temporary.path());
-        assert_eq!(code, Some(2), "{words:?}: {said}");
-        assert!(!said.is_empty(), "{words:?} says nothing");
-        assert_eq!(!error.is_empty(), words.contains(&"--json"), "{words:?}: {error} {said}");
-    }
+    check_refused(invocations, temporary.path());
 }
 
 #[test]
