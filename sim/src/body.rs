@@ -5,8 +5,8 @@
 //! the floor when the robot lies on its side.
 
 use crate::burger::{
-    self, CASTER_CENTRE_M, CASTER_RADIUS_M, CHASSIS_CENTRE_M, CHASSIS_INERTIA, CHASSIS_MASS_KG,
-    WHEEL_INERTIA, WHEEL_MASS_KG, WHEEL_RADIUS_M, WHEEL_SEPARATION_M,
+    self, ANGULAR_MAX_RAD_S, CASTER_CENTRE_M, CASTER_RADIUS_M, CHASSIS_CENTRE_M, CHASSIS_INERTIA,
+    CHASSIS_MASS_KG, LINEAR_MAX_M_S, WHEEL_INERTIA, WHEEL_MASS_KG, WHEEL_RADIUS_M, WHEEL_SEPARATION_M,
 };
 use core::f64::consts::{PI, TAU};
 use glam::{Quat, Vec3};
@@ -14,7 +14,10 @@ use msg::Pose2;
 use rapier3d::prelude::*;
 
 /// Duration of one physics step, seconds.
-const STEP_S: f32 = 0.01;
+pub(crate) const STEP_S: f32 = 0.01;
+/// Largest motion of a robot in a step, metres and radians: three times what its wheels can do, as another robot may push it.
+const STEP_MAX_M: f32 = 3.0 * LINEAR_MAX_M_S as f32 * STEP_S;
+const STEP_MAX_RAD: f32 = 3.0 * ANGULAR_MAX_RAD_S as f32 * STEP_S;
 /// Standard gravity, m/s².
 const GRAVITY_M_S2: f32 = 9.81;
 /// Motor torque per error of a wheel's speed, N m s. The load of driving then reduces a speed by 0.2 %.
@@ -94,6 +97,7 @@ impl Body {
     /// Simulates one physics step of 10 ms. Returns the angles by which the wheels turned: left, right; radians.
     pub(crate) fn step(&mut self) -> [f64; 2] {
         self.world.step();
+        self.limit_step();
         if !self.save_finite_poses() {
             self.restore_finite_poses();
         }
@@ -180,6 +184,30 @@ impl Body {
 
     fn handles(&self) -> [RigidBodyHandle; 3] {
         [self.chassis, self.wheels[0].body, self.wheels[1].body]
+    }
+
+    /// Shortens a step in which the robot moved farther than [`STEP_MAX_M`] and [`STEP_MAX_RAD`]: robots that drive into each other overlap,
+    /// as each is simulated on its own, and the solver undoes an overlap of centimetres at once.
+    fn limit_step(&mut self) {
+        let [before, ..] = self.finite_poses;
+        let after = self.world_from_chassis();
+        let moved_m = (after.translation - before.translation).length();
+        let turned_rad = before.rotation.angle_between(after.rotation);
+        let share = (STEP_MAX_M / moved_m).min(STEP_MAX_RAD / turned_rad);
+        // Poses that are not finite are restored.
+        if share.is_nan() || share >= 1.0 {
+            return;
+        }
+        for (handle, before) in self.handles().into_iter().zip(self.finite_poses) {
+            let body = &mut self.world.bodies[handle];
+            let after = *body.position();
+            let translation = before.translation.lerp(after.translation, share);
+            let rotation = before.rotation.slerp(after.rotation, share);
+            let (linear, angular) = (body.linvel() * share, body.angvel() * share);
+            body.set_position(Pose::from_parts(translation, rotation), true);
+            body.set_linvel(linear, true);
+            body.set_angvel(angular, true);
+        }
     }
 
     /// Saves the bodies' poses if all are finite. Returns whether they are.

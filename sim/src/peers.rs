@@ -1,6 +1,7 @@
 //! The other robots as obstacles: kinematic bodies that follow the ground truth of their simulators.
 
-use crate::body::Body;
+use crate::body::{Body, STEP_S};
+use crate::burger;
 use msg::{GroundTruth, Pose2, ROBOTS_MAX, RobotId, Stamp};
 use rapier3d::dynamics::RigidBodyHandle;
 
@@ -8,9 +9,11 @@ use rapier3d::dynamics::RigidBodyHandle;
 pub(crate) const SILENT_MAX_S: f64 = 1.0;
 /// Longest extrapolation with a peer's last velocity, seconds. Two of its messages may be lost.
 const EXTRAPOLATE_MAX_S: f64 = 0.15;
-/// Distance between two poses of a peer above which it is placed instead of moved, metres. A body that sweeps
-/// through the room would push everything away.
-const JUMP_MIN_M: f64 = 0.1;
+/// Largest motion of a peer in a physics step that pushes, metres and radians: twice what its wheels can do. A peer that moves farther
+/// is placed there. Its messages came late, or it is being pushed: each of two robots that push each other by what the other one was
+/// pushed would throw both.
+const PUSH_MAX_M: f64 = 2.0 * burger::LINEAR_MAX_M_S * STEP_S as f64;
+const PUSH_MAX_RAD: f64 = 2.0 * burger::ANGULAR_MAX_RAD_S * STEP_S as f64;
 
 /// Another robot of the fleet.
 #[derive(Clone, Copy)]
@@ -61,7 +64,8 @@ impl Peers {
                 continue;
             }
             let next = extrapolate(&peer.truth, age_s);
-            if next.distance_m(peer.world_from_base) > JUMP_MIN_M {
+            let moved = peer.world_from_base.between(next);
+            if moved.x_m.hypot(moved.y_m) > PUSH_MAX_M || moved.yaw_rad.abs() > PUSH_MAX_RAD {
                 body.place_obstacle(peer.body, next);
             } else {
                 body.move_obstacle(peer.body, next);
@@ -76,11 +80,12 @@ impl Peers {
     }
 }
 
-/// Extrapolates a peer's pose along an arc with its last velocity.
+/// Extrapolates a peer's pose along an arc with its last velocity, at most with that of its wheels.
 fn extrapolate(truth: &GroundTruth, age_s: f64) -> Pose2 {
     let ahead_s = age_s.clamp(-EXTRAPOLATE_MAX_S, EXTRAPOLATE_MAX_S);
-    let turn_rad = truth.angular_rad_s * ahead_s;
+    let limited = |velocity: f64, max: f64| velocity.clamp(-max, max);
+    let turn_rad = limited(truth.angular_rad_s, burger::ANGULAR_MAX_RAD_S) * ahead_s;
     let (sin, cos) = (turn_rad / 2.0).sin_cos();
-    let way_m = truth.linear_m_s * ahead_s;
+    let way_m = limited(truth.linear_m_s, burger::LINEAR_MAX_M_S) * ahead_s;
     truth.world_from_base * Pose2::new(way_m * cos, way_m * sin, turn_rad)
 }

@@ -8,8 +8,8 @@ use msg::{GroundTruth, Header, MovingObjects, Pose2, Scan, Stamp};
 use sim::{MovingConfig, ObjectSimulator, Room, SimConfig, Simulator};
 
 /// Largest number of allocations in one tick. All are rapier's, which collects contacts and islands in short-lived
-/// vectors in every step.
-const IN_A_TICK_MAX: u64 = 16;
+/// vectors in every step, with more of them while the robot touches something.
+const IN_A_TICK_MAX: u64 = 20;
 
 #[test]
 fn scans_allocate_nothing_and_ticks_grow_nothing() {
