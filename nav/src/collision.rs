@@ -39,10 +39,19 @@ impl CollisionLimit {
         behind.map(|[x, _]| -x - self.body.radius_m).fold(f64::INFINITY, f64::min)
     }
 
+    /// Distance that the body can drive straight ahead before it touches a point in `base_footprint`, metres; infinite if it passes by.
+    pub fn free_distance_to_point_m(&self, [x, y]: [f64; 2]) -> f64 {
+        self.free_distance_to_disc_m([x, y], self.half_width_m())
+    }
+
     /// Distance that the body can drive straight ahead before it touches a robot of the same size at a position in
     /// `base_footprint`, metres; infinite if it passes by.
     pub fn free_distance_to_robot_m(&self, [x, y]: [f64; 2]) -> f64 {
-        let touch_m = self.body.radius_m + self.half_width_m();
+        self.free_distance_to_disc_m([x, y], self.body.radius_m + self.half_width_m())
+    }
+
+    /// Distance straight ahead until a position is `touch_m` from the middle of the body, metres; infinite if it stays farther away.
+    fn free_distance_to_disc_m(&self, [x, y]: [f64; 2], touch_m: f64) -> f64 {
         if x > 0.0 && y.abs() < touch_m { x - (touch_m * touch_m - y * y).sqrt() } else { f64::INFINITY }
     }
 

@@ -165,6 +165,12 @@ impl<'a> ScanView<'a> {
         })
     }
 
+    /// Range that the beam nearest to an angle in the sensor's frame measured, metres; `None` if the sensor does not look there.
+    pub(crate) fn beam_towards(&self, angle_rad: f64) -> Option<f32> {
+        let beam = ((angle_rad - self.angle_min_rad) / self.angle_increment_rad).round();
+        if beam >= 0.0 { self.ranges_m.get(beam as usize).copied() } else { None }
+    }
+
     /// Whether nothing around the scanner is out of its view.
     pub fn sees_all_around(&self) -> bool {
         self.angle_increment_rad.abs() * self.ranges_m.len() as f64 >= ALL_AROUND_RAD

@@ -17,6 +17,8 @@ const CELL_M: f64 = 0.05;
 const CELLS_MAX: usize = 4096;
 /// Time after which an obstacle that is not seen any more is forgotten, seconds: longer than a turn on the spot.
 const AGE_MAX_S: f64 = 8.0;
+/// Time for which an obstacle limits the speed that the newest scan cannot show, seconds: a robot that moved on is half a metre away by then.
+const UNSEEN_AGE_MAX_S: f64 = 4.0;
 /// A beam that ends this far behind an obstacle has passed through it, metres.
 const CLEARED_BEHIND_M: f64 = 0.12;
 /// Hits this close to another robot's body are that robot, metres: the error of both poses.
@@ -61,12 +63,28 @@ impl RecentObstacles {
         let scan_from_frame = (frame_from_base * scan.base_from_scan).inverse();
         self.cells.retain(|cell, seen| {
             let [x, y] = scan_from_frame.apply(centre_m(*cell));
-            let beam = ((y.atan2(x) - scan.angle_min_rad) / scan.angle_increment_rad).round();
-            let range_m = if beam >= 0.0 { scan.ranges_m.get(beam as usize).copied() } else { None };
+            let range_m = scan.beam_towards(y.atan2(x));
             let is_cleared =
                 range_m.is_some_and(|range_m| f64::from(range_m) > x.hypot(y) + CLEARED_BEHIND_M);
             !is_cleared && now - *seen <= AGE_MAX_S
         });
+    }
+
+    /// Positions in `base_footprint` of recent obstacles where the scan does not measure, metres: beside its view, or nearer than its
+    /// shortest range. Another robot may stand there, which the map does not show either.
+    pub(crate) fn unseen_in_base_m<'a>(
+        &'a self,
+        now: Stamp,
+        frame_from_base: Pose2,
+        scan: &'a ScanView,
+    ) -> impl Iterator<Item = [f64; 2]> + 'a {
+        let base_from_frame = frame_from_base.inverse();
+        let scan_from_base = scan.base_from_scan.inverse();
+        let recent = self.cells.iter().filter(move |(_, seen)| now - **seen <= UNSEEN_AGE_MAX_S);
+        recent.map(move |(cell, _)| base_from_frame.apply(centre_m(*cell))).filter(move |in_base_m| {
+            let [x, y] = scan_from_base.apply(*in_base_m);
+            scan.beam_towards(y.atan2(x)).is_none() || x.hypot(y) < scan.range_min_m
+        })
     }
 
     /// Forgets all obstacles.
@@ -87,4 +105,51 @@ impl RecentObstacles {
 
 fn centre_m((x, y): (i32, i32)) -> [f64; 2] {
     [(f64::from(x) + 0.5) * CELL_M, (f64::from(y) + 0.5) * CELL_M]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::collision::CollisionLimit;
+
+    /// A scan of 90 degrees with one beam in each degree, at the middle of the robot.
+    fn scan(received_s: f64, ranges_m: &[f32; 91]) -> ScanView<'_> {
+        ScanView {
+            received: Stamp::from_seconds(received_s),
+            base_from_scan: Pose2::IDENTITY,
+            angle_min_rad: -core::f64::consts::FRAC_PI_4,
+            angle_increment_rad: 1f64.to_radians(),
+            range_min_m: 0.12,
+            range_max_m: 3.5,
+            ranges_m,
+        }
+    }
+
+    /// Free distance ahead by what the scan does not see.
+    fn unseen_m(obstacles: &RecentObstacles, at_s: f64, odom_from_base: Pose2, scan: &ScanView) -> f64 {
+        let unseen = obstacles.unseen_in_base_m(Stamp::from_seconds(at_s), odom_from_base, scan);
+        unseen
+            .map(|at_m| CollisionLimit::default().free_distance_to_point_m(at_m))
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn what_a_robot_turned_away_from_still_stands_beside_it() {
+        let (mut near, open) = ([f32::INFINITY; 91], [f32::INFINITY; 91]);
+        near[75..].fill(0.14);
+        let mut obstacles = RecentObstacles::default();
+        obstacles.record(Stamp::from_seconds(1.0), Pose2::IDENTITY, &scan(1.0, &near), &[], 0.105);
+        // It stands at 30 to 45 degrees; after a turn by 20 degrees to the right most of it is out of view, and ahead on the left.
+        let turned = Pose2::new(0.0, 0.0, -20f64.to_radians());
+        obstacles.record(Stamp::from_seconds(1.1), turned, &scan(1.1, &open), &[], 0.105);
+        let free_m = unseen_m(&obstacles, 1.1, turned, &scan(1.1, &open));
+        assert!(free_m < 0.07, "the robot would touch it after {free_m} m");
+        // Behind the robot it is in nobody's way, and a while later it may be gone.
+        let away = Pose2::new(0.0, 0.0, -100f64.to_radians());
+        assert_eq!(unseen_m(&obstacles, 1.2, away, &scan(1.2, &open)), f64::INFINITY);
+        assert_eq!(unseen_m(&obstacles, 6.0, turned, &scan(6.0, &open)), f64::INFINITY);
+        // What is nearer than the shortest range is not measured either.
+        let close = Pose2::new(0.1, 0.08, 35f64.to_radians());
+        assert!(unseen_m(&obstacles, 1.3, close, &scan(1.3, &open)) < 0.07);
+    }
 }

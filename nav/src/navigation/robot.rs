@@ -319,7 +319,7 @@ impl RobotNavigator {
             self.is_stop_due = false;
             return Some(Twist::STOP);
         }
-        let limited = self.limit(now, wanted, &scan, others);
+        let limited = self.limit(now, wanted, (&scan, Some(poses.odom_from_base)), others);
         self.give_up_if_hopeless(now);
         Some(if self.state.is_active() { limited } else { Twist::STOP })
     }

@@ -64,6 +64,6 @@ impl RobotNavigator {
         } else {
             search.wander.drive(&scan, &collision, &config, &mut search.random)
         };
-        Some(self.limit(now, wanted, &scan, &[]))
+        Some(self.limit(now, wanted, (&scan, robot.odom_from_base), &[]))
     }
 }

@@ -8,7 +8,7 @@ use crate::backing_up::{BACK_UP, back_up_distance_m};
 use crate::command::Twist;
 use crate::geometry::distance_m;
 use crate::observation::ScanView;
-use msg::Stamp;
+use msg::{Pose2, Stamp};
 
 /// Speed below which a robot that wants to drive stands, m/s.
 const STANDING_M_S: f64 = 0.005;
@@ -83,12 +83,13 @@ impl RobotNavigator {
         if self.robot.number().is_multiple_of(2) { 1.0 } else { -1.0 }
     }
 
-    /// Slows the robot for what the scan shows ahead and for robots near it, and says what it stands for.
+    /// Slows the robot for what the scan shows ahead, or has shown a moment ago where it does not look now, and for robots near it;
+    /// says what it stands for.
     pub(super) fn limit(
         &mut self,
         now: Stamp,
         wanted: Twist,
-        scan: &ScanView,
+        (scan, odom_from_base): (&ScanView, Option<Pose2>),
         others: &[OtherRobot],
     ) -> Twist {
         if wanted.linear_m_s < 0.0 {
@@ -96,7 +97,11 @@ impl RobotNavigator {
         }
         let nearest_m = self.collision.nearest_ahead_m(scan);
         let free_m = nearest_m.map_or(f64::INFINITY, |[x, _]| x - self.config.body.radius_m);
-        let mut limited = self.collision.limit_speed(wanted, free_m);
+        let unseen_m = odom_from_base.map_or(f64::INFINITY, |odom_from_base| {
+            let unseen = self.obstacles.unseen_in_base_m(now, odom_from_base, scan);
+            unseen.map(|at_m| self.collision.free_distance_to_point_m(at_m)).fold(f64::INFINITY, f64::min)
+        });
+        let mut limited = self.collision.limit_speed(wanted, free_m.min(unseen_m));
         // What the scan shows ahead may be a robot.
         let reach_m = self.config.body.radius_m + ROBOT_POINT_MAX_M;
         let is_seen =
