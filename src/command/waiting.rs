@@ -105,12 +105,12 @@ mod tests {
         waiting.hear(late);
         assert_eq!(waiting.silence_to_report(late + REPORT_AFTER), None);
         let reported = waiting.silence_to_report(late + REPORT_AFTER + Duration::from_millis(1));
-        assert!(reported.is_some_and(|reported| reported.contains("nothing for 3s")));
+        assert!(reported.is_some_and(|reported| reported.contains("nothing for 3 s")));
         assert_eq!(waiting.silence_to_report(late + SILENCE_MAX), None, "once");
         assert_eq!(waiting.check(&run, true, late + SILENCE_MAX), Ok(()));
         let why = waiting.check(&run, false, late).unwrap_err().to_string();
         assert!(why.contains("ended") && why.contains("not known"), "{why}");
         let why = waiting.check(&run, true, late + SILENCE_MAX + PATIENCE).unwrap_err().to_string();
-        assert!(why.contains("said nothing for 30s") && why.contains("not known"), "{why}");
+        assert!(why.contains("said nothing for 30 s") && why.contains("not known"), "{why}");
     }
 }
