@@ -23,6 +23,21 @@ const UNSEEN_AGE_MAX_S: f64 = 4.0;
 const CLEARED_BEHIND_M: f64 = 0.12;
 /// Hits this close to another robot's body are that robot, metres: the error of both poses.
 const ROBOT_HIT_SPACE_M: f64 = 0.115;
+/// How much farther than its hits an obstacle reaches that the map does not show, metres. It may be another robot: a LiDAR sees the housing
+/// of its LiDAR, 0.055 m in radius, and the body has 0.105 m.
+const UNSEEN_BODY_M: f64 = 0.05;
+/// Directions in which it does, from a hit.
+const AROUND: [[f64; 2]; 9] = [
+    [0.0, 0.0],
+    [1.0, 0.0],
+    [0.0, 1.0],
+    [-1.0, 0.0],
+    [0.0, -1.0],
+    [1.0, 1.0],
+    [-1.0, 1.0],
+    [-1.0, -1.0],
+    [1.0, -1.0],
+];
 /// Hits within this many cells of an obstacle of the map are that obstacle.
 const MAP_REACH_CELLS: i64 = 2;
 
@@ -99,7 +114,11 @@ impl RecentObstacles {
         let points = points.map(|(cell, _)| map_from_frame.apply(centre_m(*cell)));
         let unknown_to_map: Vec<[f64; 2]> =
             points.filter(|point| !map.is_occupied_near(*point, MAP_REACH_CELLS)).collect();
-        unknown_to_map.iter().for_each(|point| map.mark_occupied(*point));
+        for [x, y] in unknown_to_map {
+            for [towards_x, towards_y] in AROUND {
+                map.mark_occupied([x + UNSEEN_BODY_M * towards_x, y + UNSEEN_BODY_M * towards_y]);
+            }
+        }
     }
 }
 
@@ -111,6 +130,8 @@ fn centre_m((x, y): (i32, i32)) -> [f64; 2] {
 mod tests {
     use super::*;
     use crate::collision::CollisionLimit;
+    use crate::observation::MapView;
+    use msg::grid::Occupancy;
 
     /// A scan of 90 degrees with one beam in each degree, at the middle of the robot.
     fn scan(received_s: f64, ranges_m: &[f32; 91]) -> ScanView<'_> {
@@ -151,5 +172,25 @@ mod tests {
         // What is nearer than the shortest range is not measured either.
         let close = Pose2::new(0.1, 0.08, 35f64.to_radians());
         assert!(unseen_m(&obstacles, 1.3, close, &scan(1.3, &open)) < 0.07);
+    }
+
+    #[test]
+    fn an_obstacle_that_the_map_does_not_show_reaches_farther_than_its_hits() {
+        // Floor of 3 m by 3 m with a wall at y = 0.5 m; the robot at (1, 1) looks along the wall.
+        let mut cells = vec![0_i8; 3600];
+        cells[600..660].fill(100);
+        let view = MapView::from_percent(Pose2::IDENTITY, 0.05, (60, 60), &cells).unwrap();
+        let occupied_cells = |angle_deg: i32, range_m: f32| {
+            let mut ranges = [f32::INFINITY; 91];
+            ranges[(angle_deg + 45) as usize] = range_m;
+            let (mut obstacles, at) = (RecentObstacles::default(), Pose2::new(1.0, 1.0, 0.0));
+            obstacles.record(Stamp::from_seconds(1.0), at, &scan(1.0, &ranges), &[], 0.105);
+            let mut map = ClearanceMap::default();
+            map.copy_window(&view, [1.0, 1.0]);
+            obstacles.mark(Stamp::from_seconds(1.0), Pose2::IDENTITY, &mut map);
+            (0..map.cell_count()).filter(|cell| map.occupancy(*cell) == Occupancy::Occupied).count()
+        };
+        assert_eq!(occupied_cells(0, 0.525), 60 + 9, "a robot's body around the housing of its LiDAR");
+        assert_eq!(occupied_cells(-45, 0.7), 60, "a hit on the wall is the wall");
     }
 }
