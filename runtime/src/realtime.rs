@@ -125,7 +125,9 @@ pub enum SettingError {
         why: String,
     },
     /// The priority is not permitted.
-    #[error("priority {priority}: {why}; it needs CAP_SYS_NICE, or `ulimit -r {priority}` (rtprio in limits.conf)")]
+    #[error(
+        "priority {priority}: {why}; it needs CAP_SYS_NICE, or `ulimit -r {priority}` (rtprio in limits.conf)"
+    )]
     Priority {
         /// The wished priority.
         priority: u8,
