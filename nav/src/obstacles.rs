@@ -23,9 +23,13 @@ const UNSEEN_AGE_MAX_S: f64 = 4.0;
 const CLEARED_BEHIND_M: f64 = 0.12;
 /// Hits this close to another robot's body are that robot, metres: the error of both poses.
 const ROBOT_HIT_SPACE_M: f64 = 0.115;
-/// How much farther than its hits an obstacle reaches that the map does not show, metres. It may be another robot: a LiDAR sees the housing
-/// of its LiDAR, 0.055 m in radius, and the body has 0.105 m.
+/// How much farther than its hits another robot reaches, metres: a LiDAR sees the housing of its LiDAR, 0.055 m in radius, and the body
+/// has 0.105 m.
 const UNSEEN_BODY_M: f64 = 0.05;
+/// Hits that may be the housing of a LiDAR are no wider than this, metres.
+const HOUSING_WIDTH_MAX_M: f64 = 0.13;
+/// What is beside them is this much farther away, metres.
+const HOUSING_DEPTH_MIN_M: f64 = 0.15;
 /// Directions in which it does, from a hit.
 const AROUND: [[f64; 2]; 9] = [
     [0.0, 0.0],
@@ -45,7 +49,15 @@ const MAP_REACH_CELLS: i64 = 2;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct RecentObstacles {
     last_scan: Option<Stamp>,
-    cells: BTreeMap<(i32, i32), Stamp>,
+    cells: BTreeMap<(i32, i32), Seen>,
+}
+
+/// How a cell with an obstacle was seen.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    at: Stamp,
+    /// It may be the housing of another robot's LiDAR.
+    is_housing: bool,
 }
 
 impl RecentObstacles {
@@ -63,13 +75,17 @@ impl RecentObstacles {
         }
         self.last_scan = Some(scan.received);
         self.clear_seen_through(now, frame_from_base, scan);
-        for hit in scan.hits_in_base_m().filter(|hit| hit[0].hypot(hit[1]) < RANGE_MAX_M) {
-            let hit = frame_from_base.apply(hit);
+        let housings = housings(scan);
+        let frame_from_scan = frame_from_base * scan.base_from_scan;
+        for beam in scan.beams().filter(|beam| beam.is_hit && beam.range_m < RANGE_MAX_M) {
+            let (sin, cos) = beam.angle_rad.sin_cos();
+            let hit = frame_from_scan.apply([cos * beam.range_m, sin * beam.range_m]);
+            let is_housing = housings.iter().any(|[from, to]| (*from..=*to).contains(&beam.angle_rad));
             let is_robot =
                 robots_m.iter().any(|robot| distance_m(*robot, hit) < radius_m + ROBOT_HIT_SPACE_M);
             let cell = hit.map(|v| (v / CELL_M).floor() as i32);
             if !is_robot && (self.cells.len() < CELLS_MAX || self.cells.contains_key(&(cell[0], cell[1]))) {
-                self.cells.insert((cell[0], cell[1]), now);
+                self.cells.insert((cell[0], cell[1]), Seen { at: now, is_housing });
             }
         }
     }
@@ -81,7 +97,7 @@ impl RecentObstacles {
             let range_m = scan.beam_towards(y.atan2(x));
             let is_cleared =
                 range_m.is_some_and(|range_m| f64::from(range_m) > x.hypot(y) + CLEARED_BEHIND_M);
-            !is_cleared && now - *seen <= AGE_MAX_S
+            !is_cleared && now - seen.at <= AGE_MAX_S
         });
     }
 
@@ -95,7 +111,7 @@ impl RecentObstacles {
     ) -> impl Iterator<Item = [f64; 2]> + 'a {
         let base_from_frame = frame_from_base.inverse();
         let scan_from_base = scan.base_from_scan.inverse();
-        let recent = self.cells.iter().filter(move |(_, seen)| now - **seen <= UNSEEN_AGE_MAX_S);
+        let recent = self.cells.iter().filter(move |(_, seen)| now - seen.at <= UNSEEN_AGE_MAX_S);
         recent.map(move |(cell, _)| base_from_frame.apply(centre_m(*cell))).filter(move |in_base_m| {
             let [x, y] = scan_from_base.apply(*in_base_m);
             scan.beam_towards(y.atan2(x)).is_none() || x.hypot(y) < scan.range_min_m
@@ -109,17 +125,49 @@ impl RecentObstacles {
 
     /// Draws the obstacles that the map does not show into a window of it.
     pub(crate) fn mark(&self, now: Stamp, map_from_frame: Pose2, map: &mut ClearanceMap) {
-        let is_recent = |seen: &Stamp| *seen + Duration::from_secs_f64(AGE_MAX_S) >= now;
+        let is_recent = |seen: &Seen| seen.at + Duration::from_secs_f64(AGE_MAX_S) >= now;
         let points = self.cells.iter().filter(|(_, seen)| is_recent(seen));
-        let points = points.map(|(cell, _)| map_from_frame.apply(centre_m(*cell)));
-        let unknown_to_map: Vec<[f64; 2]> =
-            points.filter(|point| !map.is_occupied_near(*point, MAP_REACH_CELLS)).collect();
-        for [x, y] in unknown_to_map {
-            for [towards_x, towards_y] in AROUND {
+        let points = points.map(|(cell, seen)| (map_from_frame.apply(centre_m(*cell)), seen.is_housing));
+        let unknown_to_map: Vec<([f64; 2], bool)> =
+            points.filter(|(point, _)| !map.is_occupied_near(*point, MAP_REACH_CELLS)).collect();
+        for ([x, y], is_housing) in unknown_to_map {
+            for [towards_x, towards_y] in if is_housing { &AROUND[..] } else { &AROUND[..1] } {
                 map.mark_occupied([x + UNSEEN_BODY_M * towards_x, y + UNSEEN_BODY_M * towards_y]);
             }
         }
     }
+}
+
+/// Ranges of angles in the sensor's frame in which a scan shows what may be the housing of another robot's LiDAR: hits next to each other,
+/// with what is beside them farther away, or not in view.
+fn housings(scan: &ScanView) -> Vec<[f64; 2]> {
+    let mut found = Vec::new();
+    // Beams of the thing that is looked at: first and last angle, nearest range, and whether it stands before what came before it.
+    let mut thing: Option<([f64; 2], f64, bool)> = None;
+    let mut before_m = f64::INFINITY;
+    let mut end = |thing: Option<([f64; 2], f64, bool)>, next_m: f64| {
+        let Some((angles, range_m, is_before)) = thing else { return };
+        let is_narrow = (angles[1] - angles[0]).abs() * range_m <= HOUSING_WIDTH_MAX_M;
+        if is_before && is_narrow && next_m > range_m + HOUSING_DEPTH_MIN_M {
+            found.push([angles[0].min(angles[1]), angles[0].max(angles[1])]);
+        }
+    };
+    for beam in scan.beams() {
+        let range_m = if beam.is_hit { beam.range_m } else { f64::INFINITY };
+        thing = match thing {
+            Some((angles, nearest_m, is_before)) if (range_m - before_m).abs() < HOUSING_DEPTH_MIN_M => {
+                Some(([angles[0], beam.angle_rad], nearest_m.min(range_m), is_before))
+            }
+            ended => {
+                end(ended, range_m);
+                let begins = ([beam.angle_rad; 2], range_m, before_m > range_m + HOUSING_DEPTH_MIN_M);
+                Some(begins).filter(|_| beam.is_hit && range_m < RANGE_MAX_M)
+            }
+        };
+        before_m = range_m;
+    }
+    end(thing, f64::INFINITY);
+    found
 }
 
 fn centre_m((x, y): (i32, i32)) -> [f64; 2] {
@@ -172,6 +220,26 @@ mod tests {
         // What is nearer than the shortest range is not measured either.
         let close = Pose2::new(0.1, 0.08, 35f64.to_radians());
         assert!(unseen_m(&obstacles, 1.3, close, &scan(1.3, &open)) < 0.07);
+    }
+
+    #[test]
+    fn narrow_things_before_what_is_behind_them_may_be_housings() {
+        let found = |ranges: &[f32; 91]| housings(&scan(1.0, ranges)).len();
+        let mut ranges = [f32::INFINITY; 91];
+        ranges[40..46].fill(0.8);
+        assert_eq!(found(&ranges), 1, "0.084 m wide, and nothing behind it");
+        ranges.iter_mut().filter(|range| **range > 3.0).for_each(|range| *range = 1.2);
+        assert_eq!(found(&ranges), 1, "a wall behind it");
+        ranges[40..52].fill(0.8);
+        assert_eq!(found(&ranges), 0, "0.17 m wide");
+        let mut ranges = [1.0_f32; 91];
+        ranges[40..46].fill(2.0);
+        assert_eq!(found(&ranges), 0, "a gap in a wall");
+        let mut ranges = [f32::INFINITY; 91];
+        ranges[..8].fill(0.4);
+        assert_eq!(found(&ranges), 1, "at the edge of the view");
+        let wall: [f32; 91] = core::array::from_fn(|i| 0.5 / (i as f32 - 45.0).to_radians().cos());
+        assert_eq!(found(&wall), 0);
     }
 
     #[test]

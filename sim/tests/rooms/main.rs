@@ -211,7 +211,7 @@ fn invalid_mruk_scenes_are_refused_with_the_anchor() {
         refusal("a.json", text.replacen(from, to, 1).as_bytes()).to_string()
     };
     let words = with(r#""Unity""#, r#""Unreal""#);
-    assert!(words.contains(r#"CoordinateSystem is "Unreal"; expected Unity or OpenXR"#), "{words}");
+    assert!(words.contains(r#"CoordinateSystem is `Unreal`; expected Unity or OpenXR"#), "{words}");
     let words = with("[270, 90, 0]", "[90, 90, 0]");
     assert!(words.contains("Rooms[0].Anchors[0]: the normal of this FLOOR"), "{words}");
     let words = with("[0, 270, 0]", "[45, 270, 0]");
