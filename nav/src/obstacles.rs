@@ -142,7 +142,7 @@ impl RecentObstacles {
 /// with what is beside them farther away, or not in view.
 fn housings(scan: &ScanView) -> Vec<[f64; 2]> {
     let mut found = Vec::new();
-    // Beams of the thing that is looked at: first and last angle, nearest range, and whether it stands before what came before it.
+    // Beams of the current thing: first and last angle, nearest range, and whether it is nearer than the beam before it.
     let mut thing: Option<([f64; 2], f64, bool)> = None;
     let mut before_m = f64::INFINITY;
     let mut end = |thing: Option<([f64; 2], f64, bool)>, next_m: f64| {
